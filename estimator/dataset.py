@@ -1,0 +1,274 @@
+"""The contract on disk: a directory of immutable netCDF shards and a JSON manifest.
+
+    DATASET/
+      manifest.json       configuration, seed, versions, scene name and hash, shards
+      passive-00000.nc    noisy CFRs          cfr_re, cfr_im (epoch, anchor, antenna, tone)
+      echo-00000.nc       noisy beam sweeps   echo_re, echo_im (sweep, beam, tone)
+      paths-00000.nc      noiseless paths     delay_s, ... (epoch, anchor, path)
+      truth.nc            floor plan, anchors, track: opened by `evaluate` and `plot` alone
+
+Every file is written under a temporary name, synced and renamed, and shards are
+listed in the manifest with their size and SHA-256; a manifest with
+``complete = false`` belongs to a dataset whose generation did not finish. Files
+hold no time stamps and no absolute paths, so equal inputs give equal bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from estimator.errors import FileFormatError, OutputExistsError
+
+__all__ = [
+    "Dataset",
+    "DatasetWriter",
+    "open_dataset",
+    "read_netcdf",
+    "require_absent",
+    "write_netcdf",
+    "write_text",
+]
+
+FORMAT = "hapslam-dataset"
+VERSION = 1
+MANIFEST = "manifest.json"
+KINDS = ("passive", "echo", "paths", "truth")
+
+
+def require_absent(path: Path) -> None:
+    """Raise OutputExistsError if anything stands at ``path``."""
+    if path.exists() or path.is_symlink():
+        raise OutputExistsError(f"{path}: expected a name that is free, but it exists; nothing was written")
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _publish(temporary: Path, path: Path) -> None:
+    """Sync ``temporary``, rename it to ``path``, sync the folder."""
+    handle = os.open(temporary, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+    os.replace(temporary, path)
+    _sync_folder(path.parent)
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
+
+
+def write_text(text: str, path: Path) -> None:
+    """Write a small text file atomically, replacing what was there."""
+    temporary = _temporary(path)
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        _publish(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_netcdf(data: xr.Dataset, path: Path) -> None:
+    """Write ``data`` to a new netCDF-4 file atomically.
+
+    Raises
+    ------
+    OutputExistsError
+        If ``path`` exists.
+    FileFormatError
+        If its folder does not.
+    """
+    path = Path(path)
+    require_absent(path)
+    if not path.parent.is_dir():
+        raise FileFormatError(f"{path}: expected an existing folder {path.parent}, there is none")
+    temporary = _temporary(path)
+    try:
+        data.to_netcdf(temporary, engine="h5netcdf")
+        _publish(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_netcdf(path: Path, format_name: str, version: int) -> xr.Dataset:
+    """Read a whole netCDF file of ours into memory.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, not netCDF, truncated, or of another format or version.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileFormatError(f"{path}: expected a {format_name} file, found nothing there")
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as data:
+            loaded = data.load()
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise FileFormatError(
+            f"{path}: expected a complete netCDF-4 file ({format_name}), could not read it: {reason}"
+        ) from error
+    found = (loaded.attrs.get("format"), loaded.attrs.get("version"))
+    if found[0] != format_name or found[1] != version:
+        raise FileFormatError(
+            f"{path}: expected format {format_name!r} version {version}, got {found[0]!r} version {found[1]}"
+        )
+    return loaded
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+class DatasetWriter:
+    """Writes a dataset shard by shard; the manifest follows each shard.
+
+    Parameters
+    ----------
+    path : Path
+        Directory to create; its parent must exist.
+    manifest : mapping
+        What the manifest says besides ``format``, ``version``, ``complete`` and
+        ``shards`` (JSON types).
+
+    Raises
+    ------
+    OutputExistsError
+        If ``path`` exists.
+    """
+
+    def __init__(self, path: Path, manifest: Mapping[str, Any]) -> None:
+        self.path = Path(path)
+        require_absent(self.path)
+        if not self.path.parent.is_dir():
+            raise FileFormatError(f"{self.path}: expected an existing folder {self.path.parent}, there is none")
+        self.path.mkdir()
+        self._manifest: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "complete": False,
+            **manifest,
+            "shards": [],
+        }
+        self._save()
+
+    def write(self, kind: str, name: str, data: xr.Dataset) -> None:
+        """Add a shard of one of the ``KINDS`` under the file name ``name``."""
+        if kind not in KINDS:
+            raise ValueError(f"kind: expected one of {KINDS}, got {kind!r}")
+        file = self.path / name
+        stamped = data.assign_attrs(format=f"{FORMAT}/{kind}", version=VERSION)
+        write_netcdf(stamped, file)
+        self._manifest["shards"].append(
+            {"file": name, "kind": kind, "bytes": file.stat().st_size, "sha256": _digest(file)}
+        )
+        self._save()
+
+    def finish(self, **more: Any) -> None:
+        """Mark the dataset complete, adding ``more`` entries (statistics) to the manifest."""
+        self._manifest.update(more)
+        self._manifest["complete"] = True
+        self._save()
+
+    def _save(self) -> None:
+        write_text(json.dumps(self._manifest, indent=2) + "\n", self.path / MANIFEST)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """An opened dataset: its manifest, and its shards read on demand.
+
+    Parameters
+    ----------
+    path : Path
+        The directory.
+    manifest : mapping
+        The parsed manifest.
+    """
+
+    path: Path
+    manifest: Mapping[str, Any]
+
+    def shards(self, kind: str) -> Iterator[xr.Dataset]:
+        """Read the shards of one kind in order, each whole.
+
+        Raises
+        ------
+        FileFormatError
+            If a shard is missing, or its size or hash differs from the manifest's.
+        """
+        for entry in self.manifest["shards"]:
+            if entry["kind"] != kind:
+                continue
+            file = self.path / entry["file"]
+            if not file.is_file():
+                raise FileFormatError(f"{file}: expected a shard of {entry['bytes']} bytes, found nothing there")
+            size = file.stat().st_size
+            if size != entry["bytes"]:
+                raise FileFormatError(
+                    f"{file}: expected {entry['bytes']} bytes, got {size}; the shard is truncated or changed"
+                )
+            digest = _digest(file)
+            if digest != entry["sha256"]:
+                raise FileFormatError(
+                    f"{file}: expected SHA-256 {entry['sha256'][:12]}..., got {digest[:12]}...; the shard was changed"
+                )
+            yield read_netcdf(file, f"{FORMAT}/{kind}", VERSION)
+
+    def truth(self) -> xr.Dataset:
+        """The truth file (floor plan, anchors, track); only evaluation and plots may call this.
+
+        Raises
+        ------
+        FileFormatError
+            If the dataset has no truth file (it may have been removed on purpose).
+        """
+        for data in self.shards("truth"):
+            return data
+        raise FileFormatError(f"{self.path}: expected a truth file in the dataset, the manifest lists none")
+
+
+def open_dataset(path: Path) -> Dataset:
+    """Open a dataset directory.
+
+    Raises
+    ------
+    FileFormatError
+        If there is no manifest, or it is damaged, of another format or version, or
+        the dataset is incomplete.
+    """
+    path = Path(path)
+    file = path / MANIFEST
+    if not file.is_file():
+        raise FileFormatError(f"{path}: expected a dataset directory with {MANIFEST}, found none")
+    try:
+        manifest = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FileFormatError(f"{file}: expected JSON, could not read it: {error}") from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or manifest.get("version") != VERSION:
+        found = manifest.get("format"), manifest.get("version")
+        raise FileFormatError(
+            f"{file}: expected format {FORMAT!r} version {VERSION}, got {found[0]!r} version {found[1]}"
+        )
+    if manifest.get("complete") is not True:
+        raise FileFormatError(f"{path}: expected a complete dataset, its generation was interrupted")
+    names = [entry["file"] for entry in manifest["shards"]]
+    if any(Path(name).name != name for name in names):
+        raise FileFormatError(f"{file}: expected plain shard file names, got {names}")
+    return Dataset(path, manifest)

@@ -1,0 +1,264 @@
+"""What the SLAM engines take in: epochs of path delays and Gaussian walls.
+
+The estimator's frame has the agent's start (the reference point, RP) as origin and
+the axes of the agent's arrays at the start as axes; nothing else is known.
+``hapslam extract`` writes these types to one netCDF file, ``hapslam slam`` reads it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from estimator.dataset import read_netcdf, write_netcdf
+from estimator.errors import FileFormatError, InputError
+from estimator.waveform import SPEED_OF_LIGHT_M_S
+
+__all__ = [
+    "AnchorPaths",
+    "Epoch",
+    "GaussianVrp",
+    "MeasurementSet",
+    "load_measurements",
+    "save_measurements",
+]
+
+FORMAT = "hapslam-measurements"
+VERSION = 1
+Array = NDArray[np.float64]
+
+
+def _finite(name: str, value: object, shape: tuple[int | None, ...]) -> Array:
+    array = np.array(value, dtype=np.float64)
+    matches = array.ndim == len(shape) and all(
+        want is None or want == got for want, got in zip(shape, array.shape, strict=True)
+    )
+    if not matches:
+        wanted = tuple("n" if want is None else want for want in shape)
+        raise InputError(f"{name}: expected shape {wanted}, got {array.shape}")
+    if not np.all(np.isfinite(array)):
+        raise InputError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class AnchorPaths:
+    """The paths that one anchor was heard on in one epoch.
+
+    Parameters
+    ----------
+    delay_s : array_like, shape (n,)
+        Absolute times of flight, seconds.
+    delay_std_s : array_like, shape (n,)
+        Their standard deviations, seconds, positive.
+    gain_db : array_like, shape (n,)
+        Channel gain ``|a|^2`` (received power over EIRP), dB; free space gives
+        minus the free-space loss.
+    """
+
+    delay_s: Array
+    delay_std_s: Array
+    gain_db: Array
+
+    def __post_init__(self) -> None:
+        delay = _finite("delay_s", self.delay_s, (None,))
+        for name in ("delay_std_s", "gain_db"):
+            object.__setattr__(self, name, _finite(name, getattr(self, name), delay.shape))
+        object.__setattr__(self, "delay_s", delay)
+        if np.any(delay <= 0.0):
+            raise InputError(f"delay_s: expected positive times of flight, got {delay.min()} s")
+        if np.any(self.delay_std_s <= 0.0):
+            raise InputError(f"delay_std_s: expected positive numbers, got {self.delay_std_s.min()} s")
+
+    @property
+    def range_m(self) -> Array:
+        """Path lengths ``c * delay_s``, shape (n,), metres."""
+        return self.delay_s * SPEED_OF_LIGHT_M_S
+
+    @property
+    def range_std_m(self) -> Array:
+        """Standard deviations of the path lengths, shape (n,), metres."""
+        return self.delay_std_s * SPEED_OF_LIGHT_M_S
+
+    def __len__(self) -> int:
+        return int(self.delay_s.size)
+
+
+@dataclass(frozen=True, eq=False)
+class Epoch:
+    """All anchors' paths at one instant.
+
+    Parameters
+    ----------
+    index : int
+        Number of the epoch, 0 for the first.
+    time_s : float
+        Time since the first epoch, seconds.
+    paths : tuple of AnchorPaths
+        One entry per anchor, always in the same order.
+    """
+
+    index: int
+    time_s: float
+    paths: tuple[AnchorPaths, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianVrp:
+    """A wall as a Gaussian virtual reference point, in the estimator's frame.
+
+    Parameters
+    ----------
+    mean_m : array_like, shape (2,)
+        VRP relative to RP, metres.
+    covariance_m2 : array_like, shape (2, 2)
+        Covariance, square metres, symmetric positive definite.
+    """
+
+    mean_m: Array
+    covariance_m2: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mean_m", _finite("mean_m", self.mean_m, (2,)))
+        covariance = _finite("covariance_m2", self.covariance_m2, (2, 2))
+        if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
+            raise InputError(
+                f"covariance_m2: expected a symmetric positive definite matrix, got {covariance.tolist()}"
+            )
+        object.__setattr__(self, "covariance_m2", covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementSet:
+    """A run's measurements: the walls sensed at the start and the epochs that follow.
+
+    Parameters
+    ----------
+    anchors : tuple of str
+        Names of the anchors, in the order of ``Epoch.paths``.
+    walls : tuple of GaussianVrp
+        Walls from active sensing at the start, in any order.
+    epochs : tuple of Epoch
+        Ascending in index and time.
+    carrier_hz : float
+        Carrier frequency, hertz: gives the free-space loss of a path length.
+    settings : mapping
+        The configuration that produced these data (JSON types only).
+    dataset : str or None
+        Where the dataset lies that these measurements came from: a path relative to
+        the folder of the measurement file. ``evaluate`` and ``plot`` look for the truth
+        there; nothing else follows it.
+    """
+
+    anchors: tuple[str, ...]
+    walls: tuple[GaussianVrp, ...]
+    epochs: tuple[Epoch, ...]
+    carrier_hz: float
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    dataset: str | None = None
+
+    def __post_init__(self) -> None:
+        for epoch in self.epochs:
+            if len(epoch.paths) != len(self.anchors):
+                raise InputError(
+                    f"epoch {epoch.index}: expected paths of {len(self.anchors)} anchors, got {len(epoch.paths)}"
+                )
+        for before, after in zip(self.epochs, self.epochs[1:], strict=False):
+            if after.index <= before.index or after.time_s <= before.time_s:
+                raise InputError(
+                    f"epochs: expected ascending index and time, got {after.index} at {after.time_s} s "
+                    f"after {before.index} at {before.time_s} s"
+                )
+
+
+def save_measurements(measurements: MeasurementSet, path: Path) -> None:
+    """Write a measurement file (netCDF); raises OutputExistsError if ``path`` exists."""
+    epochs, anchors = measurements.epochs, measurements.anchors
+    rank = max((len(paths) for epoch in epochs for paths in epoch.paths), default=0)
+    shape = (len(epochs), len(anchors), max(rank, 1))
+    valid = np.zeros(shape, dtype=np.int8)
+    columns = {name: np.full(shape, np.nan) for name in ("delay_s", "delay_std_s", "gain_db")}
+    for i, epoch in enumerate(epochs):
+        for k, paths in enumerate(epoch.paths):
+            valid[i, k, : len(paths)] = 1
+            for name, column in columns.items():
+                column[i, k, : len(paths)] = getattr(paths, name)
+    dims = ("epoch", "anchor", "path")
+    units = {"delay_s": "s", "delay_std_s": "s", "gain_db": "dB"}
+    walls = measurements.walls
+    data = xr.Dataset(
+        {
+            **{name: (dims, column, {"units": units[name]}) for name, column in columns.items()},
+            "path_valid": (dims, valid, {"units": "1", "long_name": "1 where a path was measured"}),
+            "time_s": ("epoch", np.array([epoch.time_s for epoch in epochs]), {"units": "s"}),
+            "vrp_mean_m": (
+                ("wall", "xy"),
+                np.array([wall.mean_m for wall in walls]).reshape(len(walls), 2),
+                {"units": "m"},
+            ),
+            "vrp_covariance_m2": (
+                ("wall", "xy", "xy2"),
+                np.array([wall.covariance_m2 for wall in walls]).reshape(len(walls), 2, 2),
+                {"units": "m2"},
+            ),
+        },
+        coords={
+            "epoch": ("epoch", np.array([epoch.index for epoch in epochs], dtype=np.int64), {"units": "1"}),
+            "anchor": ("anchor", list(anchors)),
+        },
+        attrs={
+            "format": FORMAT,
+            "version": VERSION,
+            "carrier_hz": measurements.carrier_hz,
+            "settings": json.dumps(dict(measurements.settings), sort_keys=True),
+            "dataset": measurements.dataset or "",
+            "frame": "origin: agent's start (RP); axes: the agent's arrays at the start; metres",
+        },
+    )
+    write_netcdf(data, path)
+
+
+def load_measurements(path: Path) -> MeasurementSet:
+    """Read a measurement file; raises FileFormatError if it is none, InputError if its values are bad."""
+    data = read_netcdf(path, FORMAT, VERSION)
+    try:
+        valid = data["path_valid"].values.astype(bool)
+        columns = [data[name].values for name in ("delay_s", "delay_std_s", "gain_db")]
+        index, time = data["epoch"].values, data["time_s"].values
+        walls = tuple(
+            GaussianVrp(mean, covariance)
+            for mean, covariance in zip(
+                data["vrp_mean_m"].values, data["vrp_covariance_m2"].values, strict=True
+            )
+        )
+        anchors = tuple(str(name) for name in data["anchor"].values)
+        attributes = data.attrs
+        epochs = tuple(
+            Epoch(
+                int(index[i]),
+                float(time[i]),
+                tuple(
+                    AnchorPaths(*(column[i, k][valid[i, k]] for column in columns))
+                    for k in range(len(anchors))
+                ),
+            )
+            for i in range(len(index))
+        )
+        return MeasurementSet(
+            anchors,
+            walls,
+            epochs,
+            float(attributes["carrier_hz"]),
+            json.loads(attributes["settings"]),
+            attributes["dataset"] or None,
+        )
+    except KeyError as error:
+        raise FileFormatError(f"{path}: expected the variable or attribute {error}, it is missing") from error

@@ -1,0 +1,151 @@
+"""What a SLAM run gives: estimates with covariances for every epoch, and their file.
+
+Positions are metres in the estimator's frame (origin RP, axes of the agent's arrays
+at the start). Arrays have one row per epoch; slots that hold nothing (an anchor not
+started, a wall not confirmed) are NaN and marked by a mask.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from estimator.dataset import read_netcdf, write_netcdf
+from estimator.errors import FileFormatError
+
+__all__ = ["SlamResult", "load_result", "save_result"]
+
+FORMAT = "hapslam-result"
+VERSION = 1
+
+_SHAPES: dict[str, tuple[tuple[str, ...], str]] = {
+    "epoch": (("epoch",), "1"),
+    "time_s": (("epoch",), "s"),
+    "agent_mean": (("epoch", "state"), "m, m s-1"),
+    "agent_covariance": (("epoch", "state", "state2"), "m2, m2 s-1, m2 s-2"),
+    "rotation_std_rad": (("epoch",), "rad"),
+    "anchor_valid": (("epoch", "anchor"), "1"),
+    "anchor_mean_m": (("epoch", "anchor", "xy"), "m"),
+    "anchor_covariance_m2": (("epoch", "anchor", "xy", "xy2"), "m2"),
+    "wall_id": (("wall",), "1"),
+    "wall_valid": (("epoch", "wall"), "1"),
+    "wall_mean_m": (("epoch", "wall", "xy"), "m"),
+    "wall_covariance_m2": (("epoch", "wall", "xy", "xy2"), "m2"),
+    "hypotheses": (("epoch",), "1"),
+    "log_evidence": (("epoch",), "1"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class SlamResult:
+    """Estimates of one run.
+
+    Parameters
+    ----------
+    method, engine : str
+        What is known and sensed, and how inference is done.
+    seed : int
+        Seed of the run.
+    anchors : tuple of str
+        Anchor names; axis ``anchor`` has this order.
+    epoch : ndarray of int64, shape (T,)
+        Epoch numbers.
+    time_s : ndarray, shape (T,)
+        Seconds since the first epoch.
+    agent_mean : ndarray, shape (T, 4)
+        Agent position and velocity (x, y, vx, vy), metres and metres per second.
+    agent_covariance : ndarray, shape (T, 4, 4)
+        Its covariance, the rotation about RP included.
+    rotation_std_rad : ndarray, shape (T,)
+        Standard deviation of the map's rotation about RP, radians.
+    anchor_valid : ndarray of bool, shape (T, K)
+        Whether the anchor has been located.
+    anchor_mean_m, anchor_covariance_m2 : ndarray, shapes (T, K, 2) and (T, K, 2, 2)
+        Anchor positions.
+    wall_id : ndarray of int64, shape (L,)
+        Identity of each wall of the run, in order of appearance.
+    wall_valid : ndarray of bool, shape (T, L)
+        Whether the wall is confirmed at the epoch.
+    wall_mean_m, wall_covariance_m2 : ndarray, shapes (T, L, 2) and (T, L, 2, 2)
+        Walls as VRPs (mirror images of RP).
+    hypotheses : ndarray of int64, shape (T,)
+        Number of hypotheses kept.
+    log_evidence : ndarray, shape (T,)
+        Log of the evidence accumulated up to the epoch.
+    settings : mapping
+        Resolved configuration of the run and of its measurements (JSON types).
+    dataset : str or None
+        Path of the dataset relative to the result's folder, for ``evaluate`` and ``plot``.
+    """
+
+    method: str
+    engine: str
+    seed: int
+    anchors: tuple[str, ...]
+    epoch: NDArray[np.int64]
+    time_s: NDArray[np.float64]
+    agent_mean: NDArray[np.float64]
+    agent_covariance: NDArray[np.float64]
+    rotation_std_rad: NDArray[np.float64]
+    anchor_valid: NDArray[np.bool_]
+    anchor_mean_m: NDArray[np.float64]
+    anchor_covariance_m2: NDArray[np.float64]
+    wall_id: NDArray[np.int64]
+    wall_valid: NDArray[np.bool_]
+    wall_mean_m: NDArray[np.float64]
+    wall_covariance_m2: NDArray[np.float64]
+    hypotheses: NDArray[np.int64]
+    log_evidence: NDArray[np.float64]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    dataset: str | None = None
+
+
+def save_result(result: SlamResult, path: Path) -> None:
+    """Write a result file (netCDF); raises OutputExistsError if ``path`` exists."""
+    variables = {}
+    for name, (dims, units) in _SHAPES.items():
+        values = getattr(result, name)
+        if values.dtype == np.bool_:
+            values = values.astype(np.int8)
+        variables[name] = (dims, values, {"units": units})
+    attributes = {
+        "format": FORMAT,
+        "version": VERSION,
+        "method": result.method,
+        "engine": result.engine,
+        "seed": result.seed,
+        "settings": json.dumps(dict(result.settings), sort_keys=True),
+        "dataset": result.dataset or "",
+        "frame": "origin: agent's start (RP); axes: the agent's arrays at the start; metres",
+    }
+    data = xr.Dataset(variables, coords={"anchor": ("anchor", list(result.anchors))}, attrs=attributes)
+    write_netcdf(data, path)
+
+
+def load_result(path: Path) -> SlamResult:
+    """Read a result file; raises FileFormatError if it is none."""
+    data = read_netcdf(path, FORMAT, VERSION)
+    missing = [name for name in (*_SHAPES, "anchor") if name not in data]
+    if missing:
+        raise FileFormatError(f"{path}: expected the variables {missing}, they are missing")
+    arrays = {name: data[name].values for name in _SHAPES}
+    for name in ("anchor_valid", "wall_valid"):
+        arrays[name] = arrays[name].astype(bool)
+    attributes = data.attrs
+    return SlamResult(
+        method=str(attributes["method"]),
+        engine=str(attributes["engine"]),
+        seed=int(attributes["seed"]),
+        anchors=tuple(str(name) for name in data["anchor"].values),
+        settings=json.loads(attributes["settings"]),
+        dataset=str(attributes["dataset"]) or None,
+        **arrays,
+    )
+
