@@ -59,19 +59,20 @@ class AnchorPaths:
         Absolute times of flight, seconds.
     delay_std_s : array_like, shape (n,)
         Their standard deviations, seconds, positive.
-    gain_db : array_like, shape (n,)
+    gain_db : array_like, shape (n,), optional
         Channel gain ``|a|^2`` (received power over EIRP), dB; free space gives
-        minus the free-space loss.
+        minus the free-space loss. Without it (None) powers inform nothing.
     """
 
     delay_s: Array
     delay_std_s: Array
-    gain_db: Array
+    gain_db: Array | None = None
 
     def __post_init__(self) -> None:
         delay = _finite("delay_s", self.delay_s, (None,))
-        for name in ("delay_std_s", "gain_db"):
-            object.__setattr__(self, name, _finite(name, getattr(self, name), delay.shape))
+        object.__setattr__(self, "delay_std_s", _finite("delay_std_s", self.delay_std_s, delay.shape))
+        if self.gain_db is not None:
+            object.__setattr__(self, "gain_db", _finite("gain_db", self.gain_db, delay.shape))
         object.__setattr__(self, "delay_s", delay)
         if np.any(delay <= 0.0):
             raise InputError(f"delay_s: expected positive times of flight, got {delay.min()} s")
@@ -190,7 +191,8 @@ def save_measurements(measurements: MeasurementSet, path: Path) -> None:
         for k, paths in enumerate(epoch.paths):
             valid[i, k, : len(paths)] = 1
             for name, column in columns.items():
-                column[i, k, : len(paths)] = getattr(paths, name)
+                if getattr(paths, name) is not None:
+                    column[i, k, : len(paths)] = getattr(paths, name)
     dims = ("epoch", "anchor", "path")
     units = {"delay_s": "s", "delay_std_s": "s", "gain_db": "dB"}
     walls = measurements.walls
@@ -226,6 +228,11 @@ def save_measurements(measurements: MeasurementSet, path: Path) -> None:
     write_netcdf(data, path)
 
 
+def _anchor_paths(delay_s: Array, delay_std_s: Array, gain_db: Array) -> AnchorPaths:
+    """Paths as stored: a gain column that is all NaN says that no powers were measured."""
+    return AnchorPaths(delay_s, delay_std_s, None if np.all(np.isnan(gain_db)) else gain_db)
+
+
 def load_measurements(path: Path) -> MeasurementSet:
     """Read a measurement file; raises FileFormatError if it is none, InputError if its values are bad."""
     data = read_netcdf(path, FORMAT, VERSION)
@@ -246,7 +253,7 @@ def load_measurements(path: Path) -> MeasurementSet:
                 int(index[i]),
                 float(time[i]),
                 tuple(
-                    AnchorPaths(*(column[i, k][valid[i, k]] for column in columns))
+                    _anchor_paths(*(column[i, k][valid[i, k]] for column in columns))
                     for k in range(len(anchors))
                 ),
             )
