@@ -1,0 +1,1 @@
+"""Floor plan to radio channels: scenes, traced paths, echoes and datasets on disk."""

@@ -1,0 +1,319 @@
+"""Floor plans: a versioned TOML file in metres, read into frozen models and validated.
+
+A plan says where the walls, the anchors and the agent are and how they signal. The
+plan frame is right-handed, z up from the floor; azimuths count counter-clockwise
+from its x axis. :func:`load_floorplan` reads a file or one of the shipped scenes;
+whatever is wrong with it is told in one line that names the file, the field, what
+was expected and what came.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+
+from estimator.errors import InputError
+from raytrace.links import Count, Echo, Finite, NonNegative, Part, Positive, Radio
+from raytrace.plan_checks import PlanFault, check_plan
+from raytrace.trajectory import smoothed_track
+
+__all__ = [
+    "Agent",
+    "Anchor",
+    "FloorPlan",
+    "FloorPlanError",
+    "Slab",
+    "Tracing",
+    "Wall",
+    "load_floorplan",
+    "parse_floorplan",
+    "shipped_scenes",
+]
+
+FORMAT = "hapslam-floorplan"
+VERSION = 1
+
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+Point2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
+Point3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
+Name = Annotated[str, Field(min_length=1, max_length=100)]
+
+
+class FloorPlanError(InputError):
+    """A floor plan is missing, cannot be parsed, or describes something impossible."""
+
+
+class Wall(Part):
+    """A vertical wall: a segment of the plan, a single flat surface with the thickness of a slab."""
+
+    name: Name
+    from_m: Point2
+    to_m: Point2
+    height_m: Positive = 3.0
+    material: str = "concrete"
+    thickness_m: Positive = 0.2
+
+
+class Slab(Part):
+    """A floor or a ceiling over the whole plan; a plan without one has open air there."""
+
+    enabled: bool = True
+    material: str = "concrete"
+    thickness_m: Positive = 0.2
+
+
+class Anchor(Part):
+    """A physical anchor: an isotropic, vertically polarised antenna."""
+
+    name: Name
+    position_m: Point3
+
+
+class Agent(Part):
+    """The agent's track: way-points smoothed by a moving average, sampled every ``step_m``.
+
+    ``heading_deg`` turns the axes of its arrays against the plan's at the start; the
+    arrays keep that orientation while the agent moves.
+    """
+
+    waypoints_m: Annotated[tuple[Point2, ...], Field(min_length=2, strict=False)]
+    height_m: Positive = 1.5
+    speed_m_s: Positive = 0.5
+    step_m: Positive = 0.5
+    epochs: Count = 236
+    smoothing_m: NonNegative = 5.0
+    heading_deg: Finite = 0.0
+
+    @property
+    def heading_rad(self) -> float:
+        """Heading at the start, radians."""
+        return float(np.deg2rad(self.heading_deg))
+
+
+class Tracing(Part):
+    """How paths are searched for: bounces, rays, and whether scattering is traced."""
+
+    depth: Annotated[int, Field(ge=0, le=3)] = 2
+    samples: Annotated[int, Field(ge=1000, le=10_000_000)] = 10_000
+    diffuse: bool = True
+    diffuse_samples: Annotated[int, Field(ge=100, le=1_000_000)] = 2_000
+
+
+class FloorPlan(Part):
+    """A whole plan. Build one with :func:`load_floorplan` or :func:`parse_floorplan`."""
+
+    format: Literal["hapslam-floorplan"]
+    version: Literal[1]
+    name: Name
+    description: str = ""
+    walls: Annotated[tuple[Wall, ...], Field(min_length=1, strict=False)]
+    floor: Slab | None = None
+    ceiling: Slab | None = None
+    scattering: dict[str, Fraction] = Field(default_factory=dict)
+    anchors: Annotated[tuple[Anchor, ...], Field(min_length=1, strict=False)]
+    agent: Agent
+    radio: Radio = Radio()
+    echo: Echo = Echo()
+    tracing: Tracing = Tracing()
+
+    @property
+    def has_floor(self) -> bool:
+        """Whether the floor reflects."""
+        return self.floor is not None and self.floor.enabled
+
+    @property
+    def has_ceiling(self) -> bool:
+        """Whether the ceiling reflects; it lies at the height of the highest wall."""
+        return self.ceiling is not None and self.ceiling.enabled
+
+    @property
+    def ceiling_height_m(self) -> float:
+        """Height of the highest wall, metres."""
+        return max(wall.height_m for wall in self.walls)
+
+    @property
+    def surface_names(self) -> tuple[str, ...]:
+        """Names of all reflecting surfaces: the walls in order, then ``floor``, then ``ceiling``.
+
+        Their places in this tuple are the indices that traced paths use.
+        """
+        names = [wall.name for wall in self.walls]
+        return tuple(names + ["floor"] * self.has_floor + ["ceiling"] * self.has_ceiling)
+
+    @property
+    def surface_slabs(self) -> tuple[Wall | Slab, ...]:
+        """What each surface is made of, in the order of :attr:`surface_names`."""
+        slabs = [slab for slab in (self.floor, self.ceiling) if slab is not None and slab.enabled]
+        return (*self.walls, *slabs)
+
+    def walls_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Both ends of every wall, two arrays of shape (walls, 2), metres."""
+        ends = np.array([(wall.from_m, wall.to_m) for wall in self.walls])
+        return ends[:, 0], ends[:, 1]
+
+    def anchors_m(self) -> NDArray[np.float64]:
+        """Anchor positions, shape (anchors, 3), metres."""
+        return np.array([anchor.position_m for anchor in self.anchors])
+
+    def track(self) -> NDArray[np.float64]:
+        """The agent's positions, shape (epochs, 3), metres; row 0 is the reference point."""
+        agent = self.agent
+        plane = smoothed_track(agent.waypoints_m, agent.smoothing_m, agent.step_m, agent.epochs)
+        return np.column_stack([plane, np.full(agent.epochs, agent.height_m)])
+
+    def times_s(self) -> NDArray[np.float64]:
+        """Time of every epoch since the first, shape (epochs,), seconds."""
+        return np.arange(self.agent.epochs) * (self.agent.step_m / self.agent.speed_m_s)
+
+    def scattering_of(self, material: str) -> float:
+        """Scattering coefficient S of a material (zero unless the plan sets one)."""
+        return self.scattering.get(material, 0.0)
+
+    @property
+    def scatters(self) -> bool:
+        """Whether any surface of the plan scatters and scattering is to be traced."""
+        return self.tracing.diffuse and any(
+            self.scattering_of(slab.material) > 0 for slab in self.surface_slabs
+        )
+
+    def canonical_json(self) -> str:
+        """The plan with all defaults filled in, as JSON with sorted keys."""
+        return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+
+    def sha256(self) -> str:
+        """Hash of :meth:`canonical_json`; two spellings of one plan have the same hash."""
+        return hashlib.sha256(self.canonical_json().encode("utf-8")).hexdigest()
+
+    def updated(self, changes: Mapping[str, Any]) -> FloorPlan:
+        """A validated copy with some values changed, keyed by dotted names.
+
+        Parameters
+        ----------
+        changes : mapping
+            For example ``{"agent.epochs": 20, "echo.model": "radar-equation"}``.
+
+        Raises
+        ------
+        FloorPlanError
+            If a name is unknown or the changed plan is not valid.
+        """
+        data = self.model_dump(mode="json")
+        for dotted, value in changes.items():
+            *parents, last = dotted.split(".")
+            node = data
+            for parent in parents:
+                if not isinstance(node.get(parent), dict):
+                    raise FloorPlanError(
+                        f"{self.name}: {dotted}: expected the name of a value, got {parent!r}"
+                    )
+                node = node[parent]
+            node[last] = value
+        return parse_floorplan(data, source=self.name)
+
+
+def parse_floorplan(data: Mapping[str, Any], source: str = "floor plan") -> FloorPlan:
+    """Build a plan from the contents of a TOML file and check that it makes sense.
+
+    Parameters
+    ----------
+    data : mapping
+        What :mod:`tomllib` returns.
+    source : str
+        The file's name, for messages.
+
+    Raises
+    ------
+    FloorPlanError
+        In one line: the file, the field, what was expected, and what came.
+    """
+    for key, wanted in (("format", FORMAT), ("version", VERSION)):
+        if key not in data or data[key] != wanted or isinstance(data[key], bool):
+            came = repr(data[key]) if key in data else "nothing"
+            raise FloorPlanError(f"{source}: {key}: expected {wanted!r}, got {came}")
+    if data.get("floor", 0) is None or data.get("ceiling", 0) is None:
+        data = {key: value for key, value in data.items() if value is not None}
+    try:
+        plan = FloorPlan.model_validate(dict(data))
+    except ValidationError as error:
+        raise FloorPlanError(f"{source}: {_one_line(error)}") from error
+    try:
+        check_plan(plan)
+    except PlanFault as fault:
+        raise FloorPlanError(f"{source}: {fault}") from fault
+    return plan
+
+
+def load_floorplan(path_or_name: str | Path) -> FloorPlan:
+    """Read a plan from a TOML file, or a shipped scene by its name (``"l-room"``).
+
+    Raises
+    ------
+    FloorPlanError
+        If there is no such file or scene, it is no TOML, or the plan is not valid.
+    """
+    path = Path(path_or_name)
+    if not path.is_file() and str(path_or_name) in shipped_scenes():
+        path = _scene_folder() / f"{path_or_name}.toml"
+    if not path.is_file():
+        names = ", ".join(shipped_scenes())
+        raise FloorPlanError(
+            f"{path_or_name}: expected a floor plan file or one of {names}; nothing is there"
+        )
+    try:
+        with path.open("rb") as stream:
+            data = tomllib.load(stream)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise FloorPlanError(f"{path}: expected a TOML file, could not read it: {error}") from error
+    return parse_floorplan(data, source=str(path))
+
+
+def shipped_scenes() -> tuple[str, ...]:
+    """Names of the scenes that come with the package, sorted."""
+    return tuple(sorted(path.stem for path in _scene_folder().glob("*.toml")))
+
+
+def _scene_folder() -> Path:
+    """The installed package holds its scenes; a source tree has them at its root."""
+    packaged = Path(str(resources.files("raytrace"))) / "scenes"
+    return packaged if packaged.is_dir() else packaged.parent.parent / "scenes"
+
+
+def _one_line(error: ValidationError) -> str:
+    """The first fault of a pydantic error: field, what was expected, what came."""
+    faults = error.errors(include_url=False)
+    first = faults[0]
+    field = "".join(_field_parts(first["loc"]))
+    if first["type"] == "extra_forbidden":
+        text = f"{field}: expected only known keys, got the unknown key {first['loc'][-1]!r}"
+    elif first["type"] == "missing":
+        text = f"{field}: expected a value, it is missing"
+    else:
+        wanted = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+        wanted = wanted if wanted.startswith("expected") else f"expected {wanted[0].lower()}{wanted[1:]}"
+        came = "" if ", got " in wanted else f", got {_brief(first['input'])}"
+        text = f"{field}: {wanted}{came}"
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return text + more
+
+
+def _field_parts(location: tuple[int | str, ...]) -> Iterator[str]:
+    """``("walls", 2, "height_m")`` as the pieces of ``walls[2].height_m``."""
+    for index, part in enumerate(location):
+        if isinstance(part, int):
+            yield f"[{part}]"
+        else:
+            yield f".{part}" if index else part
+
+
+def _brief(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

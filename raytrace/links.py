@@ -1,0 +1,119 @@
+"""The two radio links of a plan: anchors to agent (passive) and agent to itself (echo)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from estimator.arrays import BeamSet, UniformLinearArray
+from estimator.waveform import OfdmGrid
+
+__all__ = ["AgentArray", "Beams", "Count", "Echo", "Finite", "NonNegative", "Part", "Positive", "Radio"]
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class Part(BaseModel):
+    """Base of all parts of a plan: frozen, strict, and without unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class AgentArray(Part):
+    """The agent's receiving array (horizontal, isotropic elements), relative to its heading."""
+
+    elements: Count = 1
+    spacing_wavelengths: Positive = 0.5
+    boresight_deg: Finite = 0.0
+
+    def array(self) -> UniformLinearArray:
+        """The array in the agent's frame."""
+        return UniformLinearArray(
+            self.elements, self.spacing_wavelengths, float(np.deg2rad(self.boresight_deg))
+        )
+
+
+class _Signal(Part):
+    carrier_hz: Positive = 28e9
+    subcarrier_spacing_hz: Positive = 120e3
+    subcarriers: Count = 3276
+    comb: Count = 4
+    noise_figure_db: NonNegative = 7.0
+    symbols: Count = 12
+
+    def grid(self) -> OfdmGrid:
+        """The pilot tones."""
+        return OfdmGrid(
+            self.carrier_hz, self.subcarrier_spacing_hz, self.subcarriers, self.comb, self.symbols
+        )
+
+    @model_validator(mode="after")
+    def _has_tones(self) -> _Signal:
+        if self.subcarriers < 2 * self.comb:
+            raise ValueError(f"expected subcarriers >= 2 * comb = {2 * self.comb}, got {self.subcarriers}")
+        return self
+
+
+class Radio(_Signal):
+    """The passive link: every anchor sends pilots, the agent receives."""
+
+    eirp_dbm: Finite = 26.0
+    agent_array: AgentArray = AgentArray()
+
+    def noise_variance(self) -> float:
+        """Noise variance on one tone of a CFR estimate (dimensionless)."""
+        return self.grid().noise_variance(self.eirp_dbm, self.noise_figure_db)
+
+
+class Beams(Part):
+    """The agent's beams, relative to its heading; see :class:`estimator.arrays.BeamSet`."""
+
+    panels: Count = 4
+    elements: Count = 16
+    beams: Count = 64
+    spacing_wavelengths: Positive = 0.5
+    heading_deg: Finite = 0.0
+
+    @model_validator(mode="after")
+    def _divides(self) -> Beams:
+        if self.beams % self.panels:
+            raise ValueError(f"expected beams to be a multiple of panels = {self.panels}, got {self.beams}")
+        return self
+
+    def beam_set(self) -> BeamSet:
+        """The beams in the agent's frame."""
+        return BeamSet(
+            self.panels,
+            self.elements,
+            self.beams,
+            self.spacing_wavelengths,
+            float(np.deg2rad(self.heading_deg)),
+        )
+
+
+class Echo(_Signal):
+    """The active link: the agent sweeps its beams and listens to its own echo.
+
+    ``physical`` traces specular returns to ``depth`` bounces and, off materials that
+    scatter, diffuse ones; ``radar-equation`` is the paper's (7) on traced hits, with
+    radar cross section ``gamma cos^(2 eta)`` of the angle of incidence.
+    """
+
+    symbols: Count = 14
+    model: Literal["physical", "radar-equation"] = "physical"
+    tx_power_dbm: Finite = 10.0
+    depth: Annotated[int, Field(ge=1, le=3)] = 2
+    separation_m: Annotated[float, Field(gt=0.0, le=0.5)] = 0.05
+    gamma: Positive = 1.0
+    eta: NonNegative = 0.2
+    beams: Beams = Beams()
+    sweep_epochs: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1, strict=False)] = (0,)
+
+    def noise_variance(self) -> float:
+        """Noise variance on one tone of one beam's response (dimensionless)."""
+        return self.grid().noise_variance(self.tx_power_dbm, self.noise_figure_db)

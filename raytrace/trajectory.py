@@ -1,0 +1,82 @@
+"""The agent's track: way-points, smoothed by a moving average, sampled at equal steps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimator.errors import InputError
+
+__all__ = ["smoothed_track"]
+
+_FINE_STEPS = 20_000
+
+
+def smoothed_track(
+    waypoints_m: ArrayLike, smoothing_m: float, step_m: float, epochs: int
+) -> NDArray[np.float64]:
+    """Positions at equal steps along a smoothed polyline.
+
+    The polyline through the way-points is averaged over a window of length
+    ``smoothing_m`` of its arc length; near its ends the window shrinks
+    symmetrically, so that the track starts at the first way-point. The average is
+    taken in closed form: it is the difference of the polyline's integral, which is
+    piecewise quadratic, at the two ends of the window.
+
+    Parameters
+    ----------
+    waypoints_m : array_like, shape (n, 2)
+        Way-points, metres, neighbours distinct.
+    smoothing_m : float
+        Window length, metres; zero leaves the polyline as it is.
+    step_m : float
+        Distance between neighbouring positions along the track, metres.
+    epochs : int
+        Number of positions.
+
+    Returns
+    -------
+    ndarray, shape (epochs, 2)
+
+    Raises
+    ------
+    InputError
+        If the track is shorter than ``(epochs - 1) * step_m``.
+    """
+    points = np.asarray(waypoints_m, dtype=np.float64)
+    knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    arc = np.linspace(0.0, knots[-1], _FINE_STEPS)
+    half = np.minimum(0.5 * smoothing_m, np.minimum(arc, knots[-1] - arc))
+    plain = _polyline(points, knots, arc)
+    flat = half < 1e-6
+    width = np.where(flat, 1.0, 2.0 * half)[:, None]
+    mean = (_integral(points, knots, arc + half) - _integral(points, knots, arc - half)) / width
+    fine = np.where(flat[:, None], plain, mean)
+
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
+    needed = (epochs - 1) * step_m
+    if needed > travelled[-1] + 1e-9:
+        raise InputError(
+            f"epochs: expected at most {int(travelled[-1] / step_m) + 1} steps of {step_m:g} m on a track of "
+            f"{travelled[-1]:.2f} m, got {epochs}"
+        )
+    at = np.arange(epochs) * step_m
+    return np.stack([np.interp(at, travelled, fine[:, axis]) for axis in range(2)], axis=-1)
+
+
+def _polyline(
+    points: NDArray[np.float64], knots: NDArray[np.float64], arc: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Points of the polyline at arc lengths, shape (n, 2)."""
+    return np.stack([np.interp(arc, knots, points[:, axis]) for axis in range(2)], axis=-1)
+
+
+def _integral(
+    points: NDArray[np.float64], knots: NDArray[np.float64], arc: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Integral of the polyline over arc length from 0, shape (n, 2): exact by the trapezium rule."""
+    lengths = np.diff(knots)[:, None]
+    whole = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (points[1:] + points[:-1]) * lengths, axis=0)])
+    index = np.clip(np.searchsorted(knots, arc, side="right") - 1, 0, len(knots) - 2)
+    part = (arc - knots[index])[:, None]
+    return np.asarray(whole[index] + 0.5 * (points[index] + _polyline(points, knots, arc)) * part)
