@@ -1,0 +1,221 @@
+"""The image method: all specular paths of a floor plan, exactly.
+
+The anchor is mirrored in a sequence of surfaces; the path is unfolded backward from
+the agent, each bounce where the line to the image meets its surface. A path exists
+if every bounce falls on its finite surface and no leg is blocked. This is the
+two-dimensional equation (2) of the paper in three dimensions, with visibility.
+
+It shares nothing with the ray tracer, in double precision, and so proves that the
+tracer lost no path; it also serves where paths are needed without Mitsuba. Its cost
+grows as the number of surfaces to the power of the depth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise, product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimator.waveform import SPEED_OF_LIGHT_M_S
+from raytrace.fields import specular_amplitude
+from raytrace.floorplan import FloorPlan
+from raytrace.paths import NO_SURFACE, PathList, PathSet, angles_of
+
+__all__ = ["Surfaces", "image_paths", "surfaces_of"]
+
+Array = NDArray[np.float64]
+
+# Bounces this close to a surface's rim count as off it: there, the corner decides, not the surface.
+_RIM_M = 1e-6
+# Fraction of a leg ignored at either end when it is tested for obstacles: it starts on a surface.
+_TIP = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """Rectangles in space: every wall, then floor, then ceiling.
+
+    Parameters
+    ----------
+    origin : ndarray, shape (surfaces, 3)
+        One corner, metres.
+    sides : ndarray, shape (surfaces, 2, 3)
+        Unit vectors along the two sides that meet there.
+    lengths : ndarray, shape (surfaces, 2)
+        Lengths of these sides, metres.
+    normal : ndarray, shape (surfaces, 3)
+        Unit normal, the cross product of the sides.
+    """
+
+    origin: Array
+    sides: Array
+    lengths: Array
+    normal: Array
+
+    def __len__(self) -> int:
+        return len(self.origin)
+
+    def corners(self) -> Array:
+        """The four corners of every rectangle in turn, shape (surfaces, 4, 3), metres."""
+        first, second = np.moveaxis(self.sides * self.lengths[..., None], 1, 0)
+        steps = [np.zeros_like(first), first, first + second, second]
+        return np.stack([self.origin + step for step in steps], axis=1)
+
+
+def surfaces_of(plan: FloorPlan) -> Surfaces:
+    """The reflecting rectangles of a plan, in the order of ``plan.surface_names``.
+
+    Floor and ceiling are the bounding rectangle of the walls; the walls confine what
+    can be reached of them.
+    """
+    start, end = plan.walls_m()
+    low, high = np.minimum(start, end).min(axis=0), np.maximum(start, end).max(axis=0)
+    rectangles = [
+        ((*a, 0.0), (*(b - a), 0.0), (0.0, 0.0, wall.height_m))
+        for wall, a, b in zip(plan.walls, start, end, strict=True)
+    ]
+    width, depth = high - low
+    if plan.has_floor:
+        rectangles.append(((*low, 0.0), (width, 0.0, 0.0), (0.0, depth, 0.0)))
+    if plan.has_ceiling:
+        rectangles.append(((*low, plan.ceiling_height_m), (width, 0.0, 0.0), (0.0, depth, 0.0)))
+    origin, first, second = np.moveaxis(np.array(rectangles, dtype=np.float64), 1, 0)
+    sides = np.stack([first, second], axis=1)
+    lengths = np.linalg.norm(sides, axis=-1)
+    sides /= lengths[..., None]
+    return Surfaces(origin, sides, lengths, np.cross(sides[:, 0], sides[:, 1]))
+
+
+def image_paths(
+    plan: FloorPlan,
+    positions_m: ArrayLike | None = None,
+    depth: int | None = None,
+    anchors_m: ArrayLike | None = None,
+) -> PathSet:
+    """All specular paths from every anchor to every position.
+
+    Parameters
+    ----------
+    plan : FloorPlan
+        Walls, floor, ceiling and their materials; the carrier of its ``radio``.
+    positions_m : array_like, shape (n, 3), optional
+        Positions of the agent, metres; by default the plan's track.
+    depth : int, optional
+        Most bounces; by default the plan's ``tracing.depth``.
+    anchors_m : array_like, shape (k, 3), optional
+        Anchors, metres; by default the plan's.
+
+    Returns
+    -------
+    PathSet
+        Axes (n, k, path).
+    """
+    positions = plan.track() if positions_m is None else np.asarray(positions_m, dtype=np.float64)
+    anchors = plan.anchors_m() if anchors_m is None else np.asarray(anchors_m, dtype=np.float64)
+    depth = plan.tracing.depth if depth is None else depth
+    surfaces = surfaces_of(plan)
+    parts = [
+        _paths_of_order(plan, surfaces, positions, anchor, index, order, max(depth, 1))
+        for index, anchor in enumerate(anchors)
+        for order in range(depth + 1)
+    ]
+    return PathSet.build(PathList.concatenate(parts), len(positions), len(anchors))
+
+
+def _paths_of_order(
+    plan: FloorPlan,
+    surfaces: Surfaces,
+    positions: Array,
+    anchor: Array,
+    anchor_index: int,
+    order: int,
+    bounces: int,
+) -> PathList:
+    sequences = _sequences(len(surfaces), order)
+    epoch, row, vertices = _unfold(surfaces, positions, anchor, sequences)
+    hit = sequences[row]
+    clear = ~np.any(_blocked(surfaces, vertices[:, :-1], vertices[:, 1:]), axis=1)
+    epoch, hit, vertices = epoch[clear], hit[clear], vertices[clear]
+
+    length = np.linalg.norm(np.diff(vertices, axis=1), axis=-1).sum(axis=1)
+    departure = angles_of(vertices[:, 1] - vertices[:, 0])
+    arrival = angles_of(vertices[:, -2] - vertices[:, -1])
+    walls = np.full((len(epoch), bounces), NO_SURFACE, dtype=np.int16)
+    walls[:, :order] = hit
+    return PathList(
+        epoch=epoch,
+        anchor=np.full(len(epoch), anchor_index, dtype=np.int64),
+        delay_s=length / SPEED_OF_LIGHT_M_S,
+        amplitude=specular_amplitude(plan, vertices, hit, surfaces.normal, plan.radio.carrier_hz),
+        departure_azimuth_rad=departure[0],
+        departure_elevation_rad=departure[1],
+        arrival_azimuth_rad=arrival[0],
+        arrival_elevation_rad=arrival[1],
+        order=np.full(len(epoch), order, dtype=np.int16),
+        walls=walls,
+    )
+
+
+def _sequences(surfaces: int, order: int) -> NDArray[np.int64]:
+    """All sequences of ``order`` bounces without an immediate repetition, shape (sequences, order)."""
+    kept = [
+        sequence
+        for sequence in product(range(surfaces), repeat=order)
+        if all(one != other for one, other in pairwise(sequence))
+    ]
+    return np.array(kept, dtype=np.int64).reshape(len(kept), order)
+
+
+def _unfold(
+    surfaces: Surfaces, positions: Array, anchor: Array, sequences: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Bounces of every sequence (q, order) seen from every position (n, 3), those on their surfaces.
+
+    Returns the position's index, the sequence's, and the vertices from anchor to agent
+    (paths, order + 2, 3).
+    """
+    images = [np.broadcast_to(anchor, (len(sequences), 3))]
+    for bounce in range(sequences.shape[1]):
+        wall = sequences[:, bounce]
+        height = np.sum((images[-1] - surfaces.origin[wall]) * surfaces.normal[wall], axis=-1)
+        images.append(images[-1] - 2.0 * height[:, None] * surfaces.normal[wall])
+
+    epoch, row = (axis.ravel() for axis in np.indices((len(positions), len(sequences))))
+    vertices = [positions[epoch]]
+    for bounce in reversed(range(sequences.shape[1])):
+        wall = sequences[row, bounce]
+        towards = images[bounce + 1][row] - vertices[0]
+        normal = surfaces.normal[wall]
+        slope = np.sum(towards * normal, axis=-1)
+        gap = np.sum((surfaces.origin[wall] - vertices[0]) * normal, axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            fraction = gap / slope
+        point = vertices[0] + np.where(np.isfinite(fraction), fraction, 0.0)[:, None] * towards
+        on = (fraction > _TIP) & (fraction < 1.0 - _TIP) & _on_rectangle(surfaces, wall, point, -_RIM_M)
+        epoch, row = epoch[on], row[on]
+        vertices = [point[on], *(vertex[on] for vertex in vertices)]
+    return epoch, row, np.stack([np.broadcast_to(anchor, vertices[0].shape), *vertices], axis=1)
+
+
+def _on_rectangle(
+    surfaces: Surfaces, index: NDArray[np.int64] | slice, points: Array, margin_m: float
+) -> NDArray[np.bool_]:
+    """Whether points in the planes of surfaces ``index`` lie on the rectangles, grown by a margin."""
+    offset = points - surfaces.origin[index]
+    along = np.einsum("...d,...sd->...s", offset, surfaces.sides[index])
+    within = (along >= -margin_m) & (along <= surfaces.lengths[index] + margin_m)
+    return np.asarray(within.all(axis=-1))
+
+
+def _blocked(surfaces: Surfaces, start: Array, end: Array) -> NDArray[np.bool_]:
+    """Whether legs (paths, legs, 3) meet any surface between their ends, shape (paths, legs)."""
+    start, towards = start[..., None, :], (end - start)[..., None, :]
+    slope = np.sum(towards * surfaces.normal, axis=-1)
+    gap = np.sum((surfaces.origin - start) * surfaces.normal, axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fraction = gap / slope
+    inside = (fraction > _TIP) & (fraction < 1.0 - _TIP)
+    point = start + np.where(inside, fraction, 0.0)[..., None] * towards
+    return np.asarray(np.any(inside & _on_rectangle(surfaces, slice(None), point, _RIM_M), axis=-1))
