@@ -1,0 +1,162 @@
+"""Synthetic measurements from geometry alone (Section V-E of the paper).
+
+The walls of a plan give the visible specular paths; each is detected with a
+probability, its length gets Gaussian noise, and Poisson clutter is added. The walls
+seen at the start get the paper's active-sensing variances. The result is the same
+type as the ray-traced chain's, so every engine runs on either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimator.errors import ConfigurationError, InputError
+from estimator.geometry import vrp_of_line
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
+from estimator.specular import SpecularPaths, specular_paths
+from estimator.waveform import SPEED_OF_LIGHT_M_S
+
+__all__ = ["SimulationConfig", "measure_scene", "simulate_epochs", "simulate_walls"]
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """Measurement model of the simulation; the defaults are the paper's (Section V-E).
+
+    Parameters
+    ----------
+    range_std_m : float
+        Standard deviation of a path length, metres.
+    detection_probability : float
+        Probability that a visible path is measured.
+    clutter_mean : float
+        Mean of the Poisson number of clutter measurements per anchor and epoch.
+    region_m : float
+        Paths beyond are not heard; clutter is uniform on (0, region), metres.
+    order : int
+        Largest number of bounces.
+    step_s : float
+        Time between epochs, seconds.
+    """
+
+    range_std_m: float = 0.1
+    detection_probability: float = 0.95
+    clutter_mean: float = 1.0
+    region_m: float = 180.0
+    order: int = 1
+    step_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("range_std_m", "region_m", "step_s"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise ConfigurationError(f"{name}: expected a positive number, got {getattr(self, name)}")
+        if not 0.0 <= self.detection_probability <= 1.0:
+            raise ConfigurationError(
+                f"detection_probability: expected a number from 0 to 1, got {self.detection_probability}"
+            )
+        if not 0.0 <= self.clutter_mean < np.inf:
+            raise ConfigurationError(f"clutter_mean: expected 0 or more, got {self.clutter_mean}")
+
+
+def simulate_walls(
+    vrps_m: ArrayLike, variances_m2: ArrayLike, rng: np.random.Generator
+) -> tuple[GaussianVrp, ...]:
+    """Walls as active sensing at the start would give them.
+
+    Parameters
+    ----------
+    vrps_m : array_like, shape (L, 2)
+        True VRPs relative to RP, metres.
+    variances_m2 : array_like, shape (L,)
+        Variance per axis, square metres.
+    rng : Generator
+        Source of randomness.
+    """
+    vrps = np.asarray(vrps_m, dtype=np.float64)
+    variances = np.asarray(variances_m2, dtype=np.float64)
+    if vrps.shape != (*variances.shape, 2):
+        raise InputError(f"variances_m2: expected one per VRP ({len(vrps)}), got shape {variances.shape}")
+    noise = rng.normal(size=vrps.shape) * np.sqrt(variances)[:, None]
+    return tuple(
+        GaussianVrp(mean, variance * np.eye(2))
+        for mean, variance in zip(vrps + noise, variances, strict=True)
+    )
+
+
+def simulate_epochs(
+    paths: SpecularPaths, config: SimulationConfig, rng: np.random.Generator
+) -> tuple[Epoch, ...]:
+    """Noisy, thinned and cluttered path lengths of every epoch, sorted by delay.
+
+    Parameters
+    ----------
+    paths : SpecularPaths
+        True paths; see :func:`estimator.specular.specular_paths`.
+    config : SimulationConfig
+        Measurement model.
+    rng : Generator
+        Source of randomness.
+    """
+    epochs = []
+    for t in range(paths.length_m.shape[0]):
+        heard = tuple(
+            _hear(paths.length_m[t, k][paths.visible[t, k]], config, rng)
+            for k in range(paths.length_m.shape[1])
+        )
+        epochs.append(Epoch(t, t * config.step_s, heard))
+    return tuple(epochs)
+
+
+def _hear(
+    lengths: NDArray[np.float64], config: SimulationConfig, rng: np.random.Generator
+) -> AnchorPaths:
+    detected = lengths[rng.random(lengths.size) < config.detection_probability]
+    noisy = detected + rng.normal(scale=config.range_std_m, size=detected.size)
+    clutter = rng.uniform(0.0, config.region_m, size=rng.poisson(config.clutter_mean))
+    ranges = np.concatenate([noisy, clutter])
+    ranges = np.sort(ranges[(ranges > 0.0) & (ranges <= config.region_m)])
+    std = np.full(ranges.size, config.range_std_m / SPEED_OF_LIGHT_M_S)
+    return AnchorPaths(ranges / SPEED_OF_LIGHT_M_S, std)
+
+
+def measure_scene(
+    start_m: ArrayLike,
+    end_m: ArrayLike,
+    anchors_m: ArrayLike,
+    track_m: ArrayLike,
+    wall_variances_m2: Sequence[float],
+    carrier_hz: float,
+    config: SimulationConfig,
+    rng: np.random.Generator,
+) -> MeasurementSet:
+    """Measurements of a run through a room: the first walls with variances, all epochs.
+
+    Parameters
+    ----------
+    start_m, end_m : array_like, shape (L, 2)
+        Wall end points in the plan's frame, metres.
+    anchors_m : array_like, shape (K, 2)
+        Anchors, metres.
+    track_m : array_like, shape (T, 2)
+        Agent positions, metres; the first is RP.
+    wall_variances_m2 : sequence of float
+        Active-sensing variance per axis of the first walls of the list.
+    carrier_hz : float
+        Carrier frequency, hertz.
+    config : SimulationConfig
+        Measurement model.
+    rng : Generator
+        Source of randomness.
+    """
+    reference = np.asarray(track_m, dtype=np.float64)[0]
+    sensed = len(wall_variances_m2)
+    vrps = vrp_of_line(start_m, end_m, reference)[:sensed] - reference
+    walls = simulate_walls(vrps, wall_variances_m2, rng)
+    paths = specular_paths(start_m, end_m, anchors_m, track_m, config.order)
+    epochs = simulate_epochs(paths, config, rng)
+    names = tuple(f"pa{k + 1}" for k in range(paths.length_m.shape[1]))
+    return MeasurementSet(names, walls, epochs, carrier_hz, {"simulation": vars(config).copy()})

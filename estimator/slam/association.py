@@ -1,0 +1,67 @@
+"""Probabilistic data association by loopy belief propagation.
+
+Each feature gives at most one measurement, each measurement comes from at most one
+feature (equations (28)-(31)). The iteration is that of J. Williams and R. Lau,
+"Approximate evaluation of marginal association probabilities with belief
+propagation", IEEE Trans. Aerosp. Electron. Syst. 50(4), 2014; the evidence is the
+Bethe approximation at its fixed point, exact where the association graph is a tree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Association", "associate"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Association:
+    """Marginal association probabilities.
+
+    Parameters
+    ----------
+    probability : ndarray, shape (..., F, M)
+        Probability that feature ``f`` gave measurement ``j``.
+    log_evidence : ndarray, shape (...)
+        Log of the sum over all associations of the product of their ratios
+        (Bethe approximation).
+    """
+
+    probability: Array
+    log_evidence: Array
+
+
+def associate(ratio: Array, iterations: int = 12) -> Association:
+    """Marginals of a one-to-one association.
+
+    Parameters
+    ----------
+    ratio : ndarray, shape (..., F, M)
+        Likelihood of "feature f gave measurement j" over "feature f was missed and
+        measurement j is clutter"; 0 forbids a pair.
+    iterations : int
+        Rounds of message passing.
+
+    Returns
+    -------
+    Association
+    """
+    back = np.ones_like(ratio)
+    forth = ratio
+    for _ in range(iterations):
+        weighted = ratio * back
+        forth = ratio / (1.0 + np.sum(weighted, axis=-1, keepdims=True) - weighted)
+        back = 1.0 / (1.0 + np.sum(forth, axis=-2, keepdims=True) - forth)
+    weighted = ratio * back
+    total = 1.0 + np.sum(weighted, axis=-1)
+    log_evidence = (
+        np.sum(np.log(total), axis=-1)
+        + np.sum(np.log1p(np.sum(forth, axis=-2)), axis=-1)
+        - np.sum(np.log1p(forth * back), axis=(-2, -1))
+    )
+    return Association(weighted / total[..., None], log_evidence)

@@ -1,0 +1,223 @@
+"""New walls from paths that nothing explains.
+
+A wall not yet known shows as one anchor's path whose length changes steadily. Over a
+stretch of track its virtual anchor lies on a circle round the agent; how well the
+bearing is known depends on how the agent turns. So a wall is born as a *bank* of
+bearings, each a narrow Gaussian with the weight that the stretch gives it, and
+later epochs decide between them. Two tests keep walls out that cannot be: the bounce
+must not lie behind a known wall, and the new wall must not stand in the way of
+reflections that were heard.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.geometry import segments_cross
+from estimator.slam.config import GaussianConfig
+from estimator.slam.features import wall_side
+
+__all__ = ["Bank", "Line", "find_line", "wall_bank"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """Unexplained paths of one anchor that lie on a line of length against time.
+
+    Parameters
+    ----------
+    anchor : int
+        The anchor.
+    epoch : ndarray of int64, shape (N,)
+        Epochs, at most one path each.
+    length_m, std_m : ndarray, shape (N,)
+        Path lengths and their standard deviations.
+    """
+
+    anchor: int
+    epoch: NDArray[np.int64]
+    length_m: Array
+    std_m: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """Places of a new wall, as Gaussian VRPs in the gauge frame.
+
+    Parameters
+    ----------
+    mean_m : ndarray, shape (B, 2)
+        VRPs.
+    covariance_m2 : ndarray, shape (B, 2, 2)
+        Covariances.
+    log_weight : ndarray, shape (B,)
+        Log likelihoods relative to the best.
+    """
+
+    mean_m: Array
+    covariance_m2: Array
+    log_weight: Array
+
+
+def find_line(loose: Array, now: int, config: GaussianConfig) -> Line | None:
+    """The line with most support among recent unexplained paths, or None.
+
+    Parameters
+    ----------
+    loose : ndarray, shape (N, 5)
+        As in :class:`estimator.slam.state.GaussianState`.
+    now : int
+        Present epoch; the line must reach the last two epochs.
+    config : GaussianConfig
+        ``birth_window``, ``birth_support`` and ``birth_excess_loss_db``.
+    """
+    recent = loose[loose[:, 0] > now - config.birth_window]
+    strong = ~(recent[:, 4] >= config.birth_excess_loss_db)  # unknown powers pass
+    recent = recent[strong]
+    best: Line | None = None
+    for anchor in np.unique(recent[:, 1]):
+        points = recent[recent[:, 1] == anchor]
+        line = _densest(points, now, config)
+        if line is not None and (best is None or len(line.epoch) > len(best.epoch)):
+            best = line
+    return best
+
+
+def _densest(points: Array, now: int, config: GaussianConfig) -> Line | None:
+    time, length = points[:, 0], points[:, 2]
+    if len(points) < config.birth_support:
+        return None
+    a, b = np.nonzero(time[None, :] - time[:, None] >= 3)
+    if a.size == 0:
+        return None
+    slope = (length[b] - length[a]) / (time[b] - time[a])
+    width = 3.0 * np.maximum(points[:, 3], config.range_std_m)
+    deviation = np.abs(length - (length[a, None] + slope[:, None] * (time - time[a, None])))
+    count = np.sum(deviation < width, axis=1)
+    best = int(np.argmax(count))
+    if count[best] < config.birth_support:
+        return None
+    # the motion bends the line: a parabola through the points near it gathers the rest
+    near = deviation[best] < 2.0 * width
+    fit = np.polynomial.Polynomial.fit(time[near], length[near], 2)
+    residual = np.abs(length - fit(time))
+    keep: list[int] = []
+    for epoch in np.unique(time):
+        at = np.flatnonzero(time == epoch)
+        closest = int(at[np.argmin(residual[at])])
+        if residual[closest] < width[closest]:
+            keep.append(closest)
+    if len(keep) < config.birth_support or time[keep[-1]] < now - 1:
+        return None
+    chosen = points[keep]
+    std = np.maximum(chosen[:, 3], config.range_std_m)
+    return Line(int(points[0, 1]), chosen[:, 0].astype(np.int64), chosen[:, 2], std)
+
+
+def wall_bank(
+    line: Line,
+    position: Array,
+    anchor: Array,
+    height2: float,
+    walls: Array,
+    spans: Array,
+    config: GaussianConfig,
+) -> Bank | None:
+    """Walls that would explain a line of path lengths, or None if none can be.
+
+    Parameters
+    ----------
+    line : Line
+        The paths.
+    position : ndarray, shape (N, 2)
+        The agent at the line's epochs, gauge frame, metres.
+    anchor : ndarray, shape (2,)
+        The anchor, gauge frame, metres.
+    height2 : float
+        Squared height difference of agent and anchor.
+    walls : ndarray, shape (L, 2)
+        Known VRPs.
+    spans : ndarray, shape (L, 2)
+        Stretch along each of them that is known to reflect.
+    config : GaussianConfig
+        ``birth_spacing_rad``, ``prune_nats`` and the test radius.
+    """
+    flat = np.sqrt(np.maximum(line.length_m**2 - height2, 1.0))
+    bearing = np.arange(0.0, 2.0 * np.pi, config.birth_spacing_rad)
+    unit = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    here = position[-1]
+    reach = np.full(bearing.size, flat[-1])
+    variance = line.std_m**2 + 0.05**2  # the track's own error
+    for _ in range(8):  # best distance of the virtual anchor on each bearing
+        offset = here + reach[:, None] * unit - position[:, None, :]  # (N, B, 2)
+        distance = np.linalg.norm(offset, axis=-1)
+        slope = np.sum(offset * unit, axis=-1) / distance
+        error = flat[:, None] - distance
+        weight = slope / variance[:, None]
+        reach = reach + np.sum(weight * error, axis=0) / np.maximum(np.sum(weight * slope, axis=0), 1e-3)
+    cost = 0.5 * np.sum(error**2 / variance[:, None], axis=0)
+    image = here + reach[:, None] * unit
+    chord = image - anchor
+    square = np.sum(chord**2, axis=1)
+    vrp = ((np.sum(image**2, axis=1) - np.sum(anchor**2)) / square)[:, None] * chord
+    fits = cost < 0.5 * len(line.epoch) + config.prune_nats
+    fits &= cost - cost[fits].min(initial=np.inf) < config.prune_nats
+    fits &= np.linalg.norm(vrp, axis=1) > 1.0
+    fits &= _can_be(vrp, image, position, anchor, walls, spans, config)
+    index = np.flatnonzero(fits)
+    if index.size == 0:
+        return None
+    mean, covariance = [], []
+    for i in index:
+        along = np.array([-unit[i, 1], unit[i, 0]])
+        spread = (0.7 * config.birth_spacing_rad * reach[i]) ** 2 * np.outer(along, along)
+        spread += 0.3**2 * np.outer(unit[i], unit[i])
+        jacobian = _vrp_by_image(image[i], anchor)
+        mean.append(vrp[i])
+        covariance.append(jacobian @ spread @ jacobian.T + 0.05**2 * np.eye(2))
+    log_weight = -(cost[index] - cost[index].min())
+    return Bank(np.array(mean), np.array(covariance), log_weight)
+
+
+def _vrp_by_image(image: Array, anchor: Array) -> Array:
+    """Jacobian (2, 2) of the VRP by the virtual anchor, RP at the origin."""
+    chord = image - anchor
+    square = chord @ chord
+    scale = (image @ image - anchor @ anchor) / square
+    by_scale = 2.0 * image / square - 2.0 * scale * chord / square
+    return np.asarray(np.outer(chord, by_scale) + scale * np.eye(2))
+
+
+def _can_be(
+    vrp: Array, image: Array, position: Array, anchor: Array, walls: Array, spans: Array, config: GaussianConfig
+) -> NDArray[np.bool_]:
+    """Whether new walls (B,) contradict nothing that is known."""
+    fine = np.all(wall_side(position[:, None, :], vrp) * wall_side(anchor, vrp) > 0.0, axis=0)
+    side = wall_side(position[:, None, :], vrp)  # (N, B)
+    other = wall_side(image, vrp)
+    fraction = side / (side - other)
+    bounce = position[:, None, :] + fraction[..., None] * (image - position[:, None, :])  # (N, B, 2)
+    direction = vrp / np.linalg.norm(vrp, axis=1, keepdims=True)
+    tangent = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    along = np.sum(bounce * tangent, axis=-1)
+    foot = 0.5 * vrp
+    begin, end = foot + along.min(axis=0)[:, None] * tangent, foot + along.max(axis=0)[:, None] * tangent
+    for wall, span in zip(walls, spans, strict=True):
+        fine &= np.linalg.norm(vrp - wall, axis=1) > config.confirm_radius_m
+        if not span[1] > span[0]:
+            continue
+        normal = wall / np.linalg.norm(wall)
+        across = np.array([-normal[1], normal[0]])
+        left, right = 0.5 * wall + span[0] * across, 0.5 * wall + span[1] * across
+        legs = segments_cross(position[:, None, :], bounce, left, right)
+        legs |= segments_cross(anchor, bounce, left, right)
+        fine &= ~np.any(legs, axis=0)
+        fine &= ~segments_cross(begin, end, left, right)
+    # the new wall would stand between agent and anchor, or across the track
+    fine &= ~segments_cross(position[0], position[-1], begin, end)
+    return np.asarray(fine)

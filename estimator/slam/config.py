@@ -1,0 +1,119 @@
+"""Configuration of the Gaussian engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from estimator.errors import ConfigurationError
+
+__all__ = ["GaussianConfig"]
+
+
+@dataclass(frozen=True)
+class GaussianConfig:
+    """Models and limits of the Gaussian engine.
+
+    Parameters
+    ----------
+    range_std_m : float
+        Smallest standard deviation believed of a path length, metres: covers what the
+        channel estimator's own figure leaves out (interference between paths).
+    detection_probability : float
+        Probability that a visible feature is measured.
+    clutter_mean : float
+        Mean number of measurements per anchor and epoch that no feature explains.
+    region_m : float
+        Largest path length; clutter is uniform on it, metres.
+    gate_sigma : float
+        Association gate, standard deviations.
+    acceleration_variance : float
+        Driving noise of the near-constant-velocity motion (39), m^2/s^4 per axis.
+    velocity_std_m_s : float
+        Standard deviation of the agent's unknown initial velocity, per axis.
+    height2_mean_m2, height2_std_m2 : float
+        Prior of the squared height difference of anchor and agent, square metres;
+        (0, 0) for planar measurements.
+    appear_probability, vanish_probability : float
+        Per epoch, that an invisible feature becomes visible and the reverse.
+    start_matches : int
+        Paths that must agree before an anchor is located.
+    start_window : int
+        Epochs searched when one was not enough.
+    start_attempts : int
+        Rows (label hypotheses) kept of each anchor's start.
+    birth_window, birth_support : int
+        Epochs looked back for a new wall, and unexplained paths on one line in them.
+    birth_spacing_rad : float
+        Spacing of the bearings that a new wall is tried on.
+    birth_excess_loss_db : float
+        A path may start a wall only if it lost less than this beyond free space.
+    birth_log_prior : float
+        Log prior odds of a new wall.
+    confirm_support : int
+        Fresh detections before a wall counts as found.
+    confirm_weight : float
+        Posterior weight, within ``confirm_radius_m``, before a wall counts as found.
+    confirm_radius_m : float
+        Radius in which hypotheses on one wall are the same wall, metres.
+    pending_epochs : int
+        Epochs after which an unconfirmed wall is given up.
+    pair_radius_m : float
+        A path this close to a predicted double bounce starts no wall, metres.
+    pair_std_m : float
+        Double bounces predicted better than this inform the filter, metres.
+    pair_gate_std_m : float
+        Double bounces predicted worse than this are left out of the association, metres.
+    prune_nats : float
+        Hypotheses this far below the best are dropped.
+    max_hypotheses : int
+        Hypotheses kept.
+    """
+
+    range_std_m: float = 0.1
+    detection_probability: float = 0.95
+    clutter_mean: float = 3.0
+    region_m: float = 180.0
+    gate_sigma: float = 4.0
+    acceleration_variance: float = 0.0278
+    velocity_std_m_s: float = 1.0
+    height2_mean_m2: float = 1.0
+    height2_std_m2: float = 1.0
+    appear_probability: float = 0.01
+    vanish_probability: float = 0.01
+    start_matches: int = 4
+    start_window: int = 16
+    start_attempts: int = 20
+    birth_window: int = 18
+    birth_support: int = 10
+    birth_spacing_rad: float = float(np.deg2rad(1.5))
+    birth_excess_loss_db: float = 10.0
+    birth_log_prior: float = -5.0
+    confirm_support: int = 5
+    confirm_weight: float = 0.98
+    confirm_radius_m: float = 3.0
+    pending_epochs: int = 40
+    pair_radius_m: float = 0.6
+    pair_std_m: float = 0.5
+    pair_gate_std_m: float = 1.5
+    prune_nats: float = 12.0
+    max_hypotheses: int = 100
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not np.isfinite(value):
+                raise ConfigurationError(f"GaussianConfig.{entry.name}: expected a finite number, got {value!r}")
+            signed = entry.name in ("birth_log_prior",)
+            zero = entry.name in ("height2_mean_m2", "height2_std_m2", "clutter_mean")
+            if not signed and (value < 0 or (value == 0 and not zero)):
+                raise ConfigurationError(f"GaussianConfig.{entry.name}: expected a positive number, got {value!r}")
+        for name in ("detection_probability", "appear_probability", "vanish_probability", "confirm_weight"):
+            if not getattr(self, name) < 1.0:
+                raise ConfigurationError(f"GaussianConfig.{name}: expected less than 1, got {getattr(self, name)}")
+
+    @property
+    def clutter_density(self) -> float:
+        """Clutter intensity, per metre; at least one in a hundred epochs."""
+        return max(self.clutter_mean, 0.01) / self.region_m

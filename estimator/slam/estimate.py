@@ -1,0 +1,113 @@
+"""Point estimates with covariances from the hypotheses, in the estimator's frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.geometry import rotation_matrix
+from estimator.slam.config import GaussianConfig
+from estimator.slam.hypotheses import reduce_rows
+from estimator.slam.state import GaussianState
+
+__all__ = ["Estimate", "estimate"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Agent, anchors and walls after an epoch.
+
+    Parameters
+    ----------
+    agent_mean : ndarray, shape (4,)
+        Position and velocity, estimator's frame.
+    agent_covariance : ndarray, shape (4, 4)
+        Covariance, the rotation of the map included.
+    rotation_std_rad : float
+        Standard deviation of the rotation of the map about RP.
+    anchor_valid : ndarray of bool, shape (K,)
+        Whether the anchor has been located in the likeliest hypothesis.
+    anchor_mean_m, anchor_covariance_m2 : ndarray, shapes (K, 2) and (K, 2, 2)
+        Anchors; NaN where not located.
+    wall_id : ndarray of int64, shape (J,)
+        Walls that count as found.
+    wall_mean_m, wall_covariance_m2 : ndarray, shapes (J, 2) and (J, 2, 2)
+        Their VRPs.
+    """
+
+    agent_mean: Array
+    agent_covariance: Array
+    rotation_std_rad: float
+    anchor_valid: NDArray[np.bool_]
+    anchor_mean_m: Array
+    anchor_covariance_m2: Array
+    wall_id: NDArray[np.int64]
+    wall_mean_m: Array
+    wall_covariance_m2: Array
+
+
+def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
+    """Moment-matched estimates (the MMSE estimates (34), (37) of the mixture).
+
+    Parameters
+    ----------
+    state : GaussianState
+        Hypotheses.
+    config : GaussianConfig
+        ``confirm_radius_m``: rows that have a wall elsewhere do not blur it.
+    """
+    layout = state.layout
+    weight = np.exp(state.log_weight)
+    weight = weight / weight.sum()
+    mean, covariance = reduce_rows(weight, state.mean, state.covariance)
+    best = int(np.argmax(weight))
+
+    agent = _turned(state, mean, covariance, (slice(0, 2), slice(2, 4)))
+    valid = state.located[best].copy()
+    anchors, anchor_covariances = np.full((layout.anchors, 2), np.nan), np.full((layout.anchors, 2, 2), np.nan)
+    for k in np.flatnonzero(valid):
+        place = layout.anchor(int(k))
+        xy = slice(place.start, place.start + 2)
+        anchors[k], anchor_covariances[k] = _subset(state, weight, state.located[:, k], xy)
+    found = np.flatnonzero(state.confirmed & state.present[best])
+    walls, wall_covariances = np.empty((found.size, 2)), np.empty((found.size, 2, 2))
+    for j, slot in enumerate(found):
+        xy = layout.wall(int(slot))
+        near = np.linalg.norm(state.mean[:, xy] - state.mean[best, xy], axis=1) < config.confirm_radius_m
+        walls[j], wall_covariances[j] = _subset(state, weight, state.present[:, slot] & near, xy)
+    return Estimate(
+        agent[0],
+        agent[1],
+        float(np.sqrt(covariance[layout.THETA, layout.THETA])),
+        valid,
+        anchors,
+        anchor_covariances,
+        state.wall_id[found],
+        walls,
+        wall_covariances,
+    )
+
+
+def _subset(state: GaussianState, weight: Array, rows: NDArray[np.bool_], xy: slice) -> tuple[Array, Array]:
+    """Mean (2,) and covariance (2, 2) of a point in the rows that know it, estimator's frame."""
+    share = weight[rows] / weight[rows].sum()
+    mean, covariance = reduce_rows(share, state.mean[rows], state.covariance[rows])
+    return _turned(state, mean, covariance, (xy,))
+
+
+def _turned(state: GaussianState, mean: Array, covariance: Array, parts: tuple[slice, ...]) -> tuple[Array, Array]:
+    """Vectors of the gauge frame, and theta's uncertainty, in the estimator's frame."""
+    theta = state.layout.THETA
+    turn = rotation_matrix(state.bearing_rad + mean[theta])
+    linear = np.zeros((2 * len(parts), len(mean)))
+    values = np.empty(2 * len(parts))
+    for i, part in enumerate(parts):
+        rows = slice(2 * i, 2 * i + 2)
+        values[rows] = turn @ mean[part]
+        linear[rows, part] = turn
+        linear[rows, theta] = (-values[2 * i + 1], values[2 * i])
+    return values, linear @ covariance @ linear.T

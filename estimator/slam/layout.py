@@ -1,0 +1,66 @@
+"""Where things stand in the joint state vector.
+
+One vector holds the agent, the anchors and the walls of one hypothesis, in the
+*gauge frame*: RP is the origin and the x axis points at the VRP of the reference
+wall (slot 0), whose y coordinate is therefore zero without uncertainty. The angle
+``theta`` from the gauge frame's x axis to its expected direction in the
+estimator's frame is one more state: path delays do not depend on it, so passive
+measurements cannot make the filter believe that they tell the rotation of the map.
+
+    [x, y, vx, vy, theta, (x, y, w) per anchor, (x, y) per wall slot]
+
+``w`` is the squared height difference of anchor and agent, square metres: a path of
+horizontal length d is ``sqrt(d^2 + w)`` long.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Layout"]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Index arithmetic of the state vector.
+
+    Parameters
+    ----------
+    anchors : int
+        Number of anchors, K.
+    slots : int
+        Number of wall slots, L (some may be empty).
+    """
+
+    anchors: int
+    slots: int
+
+    AGENT = slice(0, 4)
+    POSITION = slice(0, 2)
+    THETA = 4
+    FIRST_ANCHOR = 5
+
+    @property
+    def size(self) -> int:
+        """Length n of the state vector."""
+        return self.FIRST_ANCHOR + 3 * self.anchors + 2 * self.slots
+
+    @property
+    def features(self) -> int:
+        """Path features per anchor: line of sight, L walls, L * L ordered pairs of walls."""
+        return 1 + self.slots + self.slots**2
+
+    def anchor(self, k: int) -> slice:
+        """x, y, w of anchor ``k``."""
+        begin = self.FIRST_ANCHOR + 3 * k
+        return slice(begin, begin + 3)
+
+    def wall(self, slot: int) -> slice:
+        """x, y of the VRP in ``slot``."""
+        begin = self.FIRST_ANCHOR + 3 * self.anchors + 2 * slot
+        return slice(begin, begin + 2)
+
+    @property
+    def walls(self) -> slice:
+        """All VRPs, reshapes to (L, 2)."""
+        return slice(self.FIRST_ANCHOR + 3 * self.anchors, self.size)
