@@ -481,7 +481,7 @@ def _judge(state: GaussianState, config: GaussianConfig) -> GaussianState:
                 confirmed[slot] = True
                 state = _keep_rows(replace(state, confirmed=confirmed), alike)
                 continue
-        if share < 0.01 or state.epoch - state.wall_epoch[slot] > config.pending_epochs:
+        if share < 1e-5 or state.epoch - state.wall_epoch[slot] > config.pending_epochs:
             state = _close_slot(state, int(slot))
     return state
 
