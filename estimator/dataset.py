@@ -64,7 +64,7 @@ def _publish(temporary: Path, path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-    os.replace(temporary, path)
+    temporary.replace(path)
     _sync_folder(path.parent)
 
 
@@ -157,7 +157,9 @@ class DatasetWriter:
         self.path = Path(path)
         require_absent(self.path)
         if not self.path.parent.is_dir():
-            raise FileFormatError(f"{self.path}: expected an existing folder {self.path.parent}, there is none")
+            raise FileFormatError(
+                f"{self.path}: expected an existing folder {self.path.parent}, there is none"
+            )
         self.path.mkdir()
         self._manifest: dict[str, Any] = {
             "format": FORMAT,
@@ -218,7 +220,9 @@ class Dataset:
                 continue
             file = self.path / entry["file"]
             if not file.is_file():
-                raise FileFormatError(f"{file}: expected a shard of {entry['bytes']} bytes, found nothing there")
+                raise FileFormatError(
+                    f"{file}: expected a shard of {entry['bytes']} bytes, found nothing there"
+                )
             size = file.stat().st_size
             if size != entry["bytes"]:
                 raise FileFormatError(
@@ -227,7 +231,8 @@ class Dataset:
             digest = _digest(file)
             if digest != entry["sha256"]:
                 raise FileFormatError(
-                    f"{file}: expected SHA-256 {entry['sha256'][:12]}..., got {digest[:12]}...; the shard was changed"
+                    f"{file}: expected SHA-256 {entry['sha256'][:12]}..., got {digest[:12]}...; "
+                    "the shard was changed"
                 )
             yield read_netcdf(file, f"{FORMAT}/{kind}", VERSION)
 
@@ -242,6 +247,17 @@ class Dataset:
         for data in self.shards("truth"):
             return data
         raise FileFormatError(f"{self.path}: expected a truth file in the dataset, the manifest lists none")
+
+
+def _check_shards(file: Path, shards: object) -> None:
+    """Raise FileFormatError unless the manifest's ``shards`` are what a writer lists."""
+    if not isinstance(shards, list):
+        raise FileFormatError(f"{file}: expected a list of shards, got {type(shards).__name__}")
+    for shard in shards:
+        if not isinstance(shard, dict) or not {"file", "kind", "bytes", "sha256"} <= shard.keys():
+            raise FileFormatError(f"{file}: expected shards with file, kind, bytes and sha256, got {shard!r}")
+        if Path(str(shard["file"])).name != shard["file"]:
+            raise FileFormatError(f"{file}: expected plain shard file names, got {shard['file']!r}")
 
 
 def open_dataset(path: Path) -> Dataset:
@@ -261,14 +277,14 @@ def open_dataset(path: Path) -> Dataset:
         manifest = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FileFormatError(f"{file}: expected JSON, could not read it: {error}") from error
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or manifest.get("version") != VERSION:
-        found = manifest.get("format"), manifest.get("version")
+    if not isinstance(manifest, dict):
+        raise FileFormatError(f"{file}: expected a JSON object, got {type(manifest).__name__}")
+    found = manifest.get("format"), manifest.get("version")
+    if found != (FORMAT, VERSION):
         raise FileFormatError(
             f"{file}: expected format {FORMAT!r} version {VERSION}, got {found[0]!r} version {found[1]}"
         )
     if manifest.get("complete") is not True:
         raise FileFormatError(f"{path}: expected a complete dataset, its generation was interrupted")
-    names = [entry["file"] for entry in manifest["shards"]]
-    if any(Path(name).name != name for name in names):
-        raise FileFormatError(f"{file}: expected plain shard file names, got {names}")
+    _check_shards(file, manifest.get("shards"))
     return Dataset(path, manifest)

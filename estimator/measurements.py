@@ -170,7 +170,8 @@ class MeasurementSet:
         for epoch in self.epochs:
             if len(epoch.paths) != len(self.anchors):
                 raise InputError(
-                    f"epoch {epoch.index}: expected paths of {len(self.anchors)} anchors, got {len(epoch.paths)}"
+                    f"epoch {epoch.index}: expected paths of {len(self.anchors)} anchors, "
+                    f"got {len(epoch.paths)}"
                 )
         for before, after in zip(self.epochs, self.epochs[1:], strict=False):
             if after.index <= before.index or after.time_s <= before.time_s:
@@ -269,3 +270,7 @@ def load_measurements(path: Path) -> MeasurementSet:
         )
     except KeyError as error:
         raise FileFormatError(f"{path}: expected the variable or attribute {error}, it is missing") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except (ValueError, IndexError) as error:
+        raise FileFormatError(f"{path}: expected arrays that fit together, got {error}") from error

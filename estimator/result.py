@@ -135,17 +135,22 @@ def load_result(path: Path) -> SlamResult:
     missing = [name for name in (*_SHAPES, "anchor") if name not in data]
     if missing:
         raise FileFormatError(f"{path}: expected the variables {missing}, they are missing")
+    for name, (dims, _) in _SHAPES.items():
+        if data[name].dims != dims:
+            raise FileFormatError(f"{path}: expected {name} to have axes {dims}, got {data[name].dims}")
     arrays = {name: data[name].values for name in _SHAPES}
     for name in ("anchor_valid", "wall_valid"):
         arrays[name] = arrays[name].astype(bool)
     attributes = data.attrs
-    return SlamResult(
-        method=str(attributes["method"]),
-        engine=str(attributes["engine"]),
-        seed=int(attributes["seed"]),
-        anchors=tuple(str(name) for name in data["anchor"].values),
-        settings=json.loads(attributes["settings"]),
-        dataset=str(attributes["dataset"]) or None,
-        **arrays,
-    )
-
+    try:
+        return SlamResult(
+            method=str(attributes["method"]),
+            engine=str(attributes["engine"]),
+            seed=int(attributes["seed"]),
+            anchors=tuple(str(name) for name in data["anchor"].values),
+            settings=json.loads(attributes["settings"]),
+            dataset=str(attributes["dataset"]) or None,
+            **arrays,
+        )
+    except (KeyError, ValueError) as error:
+        raise FileFormatError(f"{path}: expected attributes of a result, got {error!r}") from error

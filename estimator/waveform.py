@@ -43,9 +43,7 @@ def free_space_loss_db(distance_m: NDArray[np.float64], carrier_hz: float) -> ND
     carrier_hz : float
         Carrier frequency in hertz.
     """
-    return np.asarray(
-        20.0 * np.log10(4.0 * np.pi * np.asarray(distance_m) * carrier_hz / SPEED_OF_LIGHT_M_S)
-    )
+    return np.asarray(20.0 * np.log10(4.0 * np.pi * np.asarray(distance_m) * carrier_hz / SPEED_OF_LIGHT_M_S))
 
 
 @dataclass(frozen=True)

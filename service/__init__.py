@@ -1,0 +1,1 @@
+"""The faces of hapslam: the command line."""

@@ -1,0 +1,67 @@
+# make demo      trace a room, walk through it, map it: everything is set up first
+# make test      run the tests, README snippets included
+# make lint      style, types, directions of imports;  make format mends the style
+# make setup     only the environment: .venv, pinned and checked by hash
+# make requirements   pin anew after a change of pyproject.toml
+
+VENV   := .venv
+BIN    := $(VENV)/bin
+PYTHON ?=
+PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
+
+# PYTHONNOUSERSITE: what a user has installed elsewhere must not leak in.
+export PYTHONNOUSERSITE := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint format setup requirements clean
+
+help:
+	@sed -n 's/^# //p' Makefile | head -5
+
+demo: $(VENV)/.run
+	@$(BIN)/hapslam demo $(ARGS)
+
+test: $(VENV)/.dev
+	@$(BIN)/python -m pytest --cov --cov-report=term:skip-covered $(ARGS)
+
+lint: $(VENV)/.dev
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+format: $(VENV)/.dev
+	@$(BIN)/ruff check --fix-only .
+	@$(BIN)/ruff format .
+
+setup: $(VENV)/.dev
+
+# A Python of 3.11 or newer that can make environments: $(PYTHON) if given, or the first found.
+$(VENV)/.python: requirements/find-python
+	@python=$$(sh requirements/find-python $(PYTHON)) && \
+	echo "setup: making $(VENV) with $$($$python --version)" && \
+	$$python -m venv --clear $(VENV)
+	@touch $@
+
+$(VENV)/.run: $(VENV)/.python pyproject.toml requirements/run.txt
+	@echo "setup: installing what hapslam needs (pinned, checked by hash; a minute or two)"
+	@$(PIP) install --require-hashes -r requirements/run.txt
+	@$(PIP) install --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.run requirements/dev.txt
+	@echo "setup: installing the tools of the tests"
+	@$(PIP) install --require-hashes -r requirements/dev.txt
+	@touch $@
+
+# uv resolves for all Pythons and platforms at once; it is fetched for this target alone.
+COMPILE := build/uv/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+           --no-emit-index-url --no-annotate --custom-compile-command "make requirements" \
+           pyproject.toml --extra raytrace --group build
+requirements: $(VENV)/.python
+	@$(BIN)/python -m venv build/uv && build/uv/bin/python -m pip install --quiet uv
+	@$(COMPILE) --group dev $(ARGS) -o requirements/dev.txt
+	@$(COMPILE) -c requirements/dev.txt -o requirements/run.txt
+
+clean:
+	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .coverage
