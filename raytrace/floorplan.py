@@ -103,7 +103,7 @@ class Tracing(Part):
     """How paths are searched for: bounces, rays, and whether scattering is traced."""
 
     depth: Annotated[int, Field(ge=0, le=3)] = 2
-    samples: Annotated[int, Field(ge=1000, le=10_000_000)] = 10_000
+    samples: Annotated[int, Field(ge=1000, le=10_000_000)] = 6_000
     diffuse: bool = True
     diffuse_samples: Annotated[int, Field(ge=100, le=1_000_000)] = 2_000
 

@@ -27,7 +27,7 @@ __all__ = ["Surfaces", "image_paths", "surfaces_of"]
 
 Array = NDArray[np.float64]
 
-# Bounces this close to a surface's rim count as off it: there, the corner decides, not the surface.
+# What meets a surface's rim to within this is taken to meet it.
 _RIM_M = 1e-6
 # Fraction of a leg ignored at either end when it is tested for obstacles: it starts on a surface.
 _TIP = 1e-9
@@ -93,6 +93,7 @@ def image_paths(
     positions_m: ArrayLike | None = None,
     depth: int | None = None,
     anchors_m: ArrayLike | None = None,
+    rim_m: float = _RIM_M,
 ) -> PathSet:
     """All specular paths from every anchor to every position.
 
@@ -106,6 +107,9 @@ def image_paths(
         Most bounces; by default the plan's ``tracing.depth``.
     anchors_m : array_like, shape (k, 3), optional
         Anchors, metres; by default the plan's.
+    rim_m : float
+        Bounces closer than this to the rim of their surface are left out: there the
+        corner decides, not the surface.
 
     Returns
     -------
@@ -117,7 +121,7 @@ def image_paths(
     depth = plan.tracing.depth if depth is None else depth
     surfaces = surfaces_of(plan)
     parts = [
-        _paths_of_order(plan, surfaces, positions, anchor, index, order, max(depth, 1))
+        _paths_of_order(plan, surfaces, positions, anchor, index, order, max(depth, 1), rim_m)
         for index, anchor in enumerate(anchors)
         for order in range(depth + 1)
     ]
@@ -132,9 +136,10 @@ def _paths_of_order(
     anchor_index: int,
     order: int,
     bounces: int,
+    rim_m: float,
 ) -> PathList:
     sequences = _sequences(len(surfaces), order)
-    epoch, row, vertices = _unfold(surfaces, positions, anchor, sequences)
+    epoch, row, vertices = _unfold(surfaces, positions, anchor, sequences, rim_m)
     hit = sequences[row]
     clear = ~np.any(_blocked(surfaces, vertices[:, :-1], vertices[:, 1:]), axis=1)
     epoch, hit, vertices = epoch[clear], hit[clear], vertices[clear]
@@ -169,7 +174,7 @@ def _sequences(surfaces: int, order: int) -> NDArray[np.int64]:
 
 
 def _unfold(
-    surfaces: Surfaces, positions: Array, anchor: Array, sequences: NDArray[np.int64]
+    surfaces: Surfaces, positions: Array, anchor: Array, sequences: NDArray[np.int64], rim_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Bounces of every sequence (q, order) seen from every position (n, 3), those on their surfaces.
 
@@ -193,7 +198,7 @@ def _unfold(
         with np.errstate(divide="ignore", invalid="ignore"):
             fraction = gap / slope
         point = vertices[0] + np.where(np.isfinite(fraction), fraction, 0.0)[:, None] * towards
-        on = (fraction > _TIP) & (fraction < 1.0 - _TIP) & _on_rectangle(surfaces, wall, point, -_RIM_M)
+        on = (fraction > _TIP) & (fraction < 1.0 - _TIP) & _on_rectangle(surfaces, wall, point, -rim_m)
         epoch, row = epoch[on], row[on]
         vertices = [point[on], *(vertex[on] for vertex in vertices)]
     return epoch, row, np.stack([np.broadcast_to(anchor, vertices[0].shape), *vertices], axis=1)

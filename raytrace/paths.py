@@ -8,7 +8,7 @@ agent, whether they were traced (:mod:`raytrace.passive`) or constructed
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,10 @@ class PathList:
     def select(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> PathList:
         """The paths of a mask or an index, in its order."""
         return PathList(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+
+    def with_epochs(self, epoch: NDArray[np.int64]) -> PathList:
+        """The same paths under other epoch numbers, shape (n,)."""
+        return replace(self, epoch=epoch)
 
     @staticmethod
     def concatenate(parts: list[PathList]) -> PathList:

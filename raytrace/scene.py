@@ -1,0 +1,110 @@
+"""A floor plan as a scene of Sionna RT.
+
+Surfaces of one material and thickness share one mesh (a solve costs time per object,
+not per wall); which wall a triangle belongs to follows from its number. Geometry is
+that of :func:`raytrace.images.surfaces_of`. Call :func:`raytrace.backend.prepare`
+before; this module imports the ray tracer when its functions run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raytrace.backend import prepare
+from raytrace.floorplan import FloorPlan, Slab, Wall
+from raytrace.images import surfaces_of
+from raytrace.paths import NO_SURFACE
+
+__all__ = ["RadioScene", "build_scene"]
+
+_TRIANGLES = ((0, 1, 2), (0, 2, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class RadioScene:
+    """A scene that can be traced, and the way back from triangles to surfaces.
+
+    Parameters
+    ----------
+    scene : sionna.rt.Scene
+        The scene at one carrier, without transmitters and receivers.
+    surfaces_by_object : dict of int to ndarray of int16
+        For each object's identity, the surface (an index of
+        ``FloorPlan.surface_names``) of every pair of triangles.
+    """
+
+    scene: Any
+    surfaces_by_object: dict[int, NDArray[np.int16]]
+
+    def surfaces(self, objects: NDArray[np.uint32], primitives: NDArray[np.uint32]) -> NDArray[np.int16]:
+        """Surfaces that paths met, of any shape; ``NO_SURFACE`` where there was no bounce."""
+        found = np.full(objects.shape, NO_SURFACE, dtype=np.int16)
+        for identity, surfaces in self.surfaces_by_object.items():
+            mine = objects == identity
+            found[mine] = surfaces[primitives[mine] // len(_TRIANGLES)]
+        return found
+
+
+def build_scene(plan: FloorPlan, carrier_hz: float) -> RadioScene:
+    """Build the scene of a plan at one carrier frequency.
+
+    Raises
+    ------
+    BackendError
+        If the ray tracer cannot run on this machine.
+    """
+    prepare()
+    import sionna.rt as rt
+
+    corners = surfaces_of(plan).corners()
+    groups: dict[tuple[str, float], list[int]] = {}
+    for index, slab in enumerate(plan.surface_slabs):
+        groups.setdefault((slab.material, slab.thickness_m), []).append(index)
+
+    scene = rt.Scene()
+    scene.frequency = carrier_hz
+    objects = []
+    for number, members in enumerate(groups.values()):
+        slab = plan.surface_slabs[members[0]]
+        name = f"slab-{number}"
+        objects.append(
+            rt.SceneObject(
+                mi_mesh=_mesh(name, corners[members]), name=name, radio_material=_material(plan, slab, number)
+            )
+        )
+    scene.add(objects)
+    members_of = {
+        scene.objects[f"slab-{number}"].object_id: np.array(members, dtype=np.int16)
+        for number, members in enumerate(groups.values())
+    }
+    return RadioScene(scene, members_of)
+
+
+def _material(plan: FloorPlan, slab: Wall | Slab, number: int) -> Any:
+    import sionna.rt as rt
+
+    return rt.ITURadioMaterial(
+        name=f"{slab.material}-{number}",
+        itu_type=slab.material,
+        thickness=slab.thickness_m,
+        scattering_coefficient=plan.scattering_of(slab.material),
+        scattering_pattern="lambertian",
+    )
+
+
+def _mesh(name: str, corners: NDArray[np.float64]) -> Any:
+    """A mesh of rectangles (n, 4, 3), two triangles each."""
+    import mitsuba as mi
+
+    count = len(corners)
+    faces = (4 * np.arange(count)[:, None, None] + np.array(_TRIANGLES)).reshape(-1, 3)
+    mesh = mi.Mesh(name, vertex_count=4 * count, face_count=len(faces))
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = mi.Float(corners.astype(np.float32).ravel())
+    parameters["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
+    parameters.update()
+    return mesh

@@ -1,0 +1,125 @@
+"""One call of Sionna's path solver: points in, a list of paths out.
+
+All sources are elements of one transmit array, all targets of one receive array, and
+positions travel as data: the kernels that Dr.Jit compiles for one set of points then
+serve every other of the same size. (Setting positions one by one compiles them anew
+for each.)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.waveform import SPEED_OF_LIGHT_M_S
+from raytrace.paths import PathList
+from raytrace.scene import RadioScene
+
+__all__ = ["solve"]
+
+# Paths kept per source; memory is about 0.2 kB each, and what does not fit is lost.
+_PATHS_PER_SOURCE = 200_000
+# Of no effect on specular paths, which involve no chance; fixes where diffuse ones scatter.
+_SEED = 1
+
+
+def solve(
+    radio: RadioScene,
+    sources_m: NDArray[np.float64],
+    targets_m: NDArray[np.float64],
+    *,
+    depth: int,
+    samples: int,
+    los: bool = True,
+    diffuse: bool = False,
+    paths_per_source: int = _PATHS_PER_SOURCE,
+) -> PathList:
+    """Trace paths from every source to every target.
+
+    Parameters
+    ----------
+    radio : RadioScene
+        Scene, at its carrier.
+    sources_m, targets_m : ndarray, shapes (k, 3) and (n, 3)
+        End points, metres: ``PathList.anchor`` and ``PathList.epoch`` count them.
+    depth : int
+        Most bounces.
+    samples : int
+        Rays shot from each source.
+    los : bool
+        Whether to include the line of sight.
+    diffuse : bool
+        Trace diffuse reflections alone (all rays go into them) in place of specular ones.
+    paths_per_source : int
+        Most paths of one source to all targets.
+
+    Returns
+    -------
+    PathList
+        In no particular order.
+    """
+    import sionna.rt as rt
+
+    scene = radio.scene
+    for device in (*scene.transmitters, *scene.receivers):
+        scene.remove(device)
+    wavelength = SPEED_OF_LIGHT_M_S / float(scene.frequency[0])
+    scene.tx_array = _array(sources_m / wavelength)
+    scene.rx_array = _array(targets_m / wavelength)
+    scene.add([rt.Transmitter("sources", [0.0, 0.0, 0.0]), rt.Receiver("targets", [0.0, 0.0, 0.0])])
+    paths = rt.PathSolver()(
+        scene,
+        max_depth=depth,
+        samples_per_src=samples,
+        max_num_paths_per_src=paths_per_source,
+        synthetic_array=False,
+        los=los,
+        specular_reflection=not diffuse,
+        diffuse_reflection=diffuse,
+        refraction=False,
+        seed=_SEED,
+    )
+    return _path_list(radio, paths, depth)
+
+
+def _array(positions: NDArray[np.float64]) -> Any:
+    """Vertically polarised isotropic elements at positions (n, 3) in wavelengths."""
+    import mitsuba as mi
+    import sionna.rt as rt
+    from sionna.rt.antenna_pattern import antenna_pattern_registry
+
+    pattern = antenna_pattern_registry.get("iso")(polarization="V")
+    columns = np.ascontiguousarray(positions.T, dtype=np.float32)
+    return rt.AntennaArray(pattern, mi.Point3f(*(mi.Float(column) for column in columns)))
+
+
+def _path_list(radio: RadioScene, paths: Any, depth: int) -> PathList:
+    """Sionna's tensors, axes (rx, target, tx, source, path), as one row per path."""
+    valid = paths.valid.numpy()[0, :, 0]  # (target, source, path)
+    target, source, _ = np.nonzero(valid)
+
+    def pick(tensor: Any) -> NDArray[np.float64]:
+        return np.asarray(tensor.numpy()[0, :, 0][valid], dtype=np.float64)
+
+    delay = pick(paths.tau)
+    gain = pick(paths.a[0]) + 1j * pick(paths.a[1])
+    carrier_hz = float(radio.scene.frequency[0])
+    if depth == 0 or not len(delay):
+        walls = np.full((len(delay), max(depth, 1)), -1, dtype=np.int16)
+    else:
+        bounces = [tensor.numpy()[:, 0, :, 0][:, valid].T for tensor in (paths.objects, paths.primitives)]
+        walls = radio.surfaces(*bounces)
+    return PathList(
+        epoch=target.astype(np.int64),
+        anchor=source.astype(np.int64),
+        delay_s=delay,
+        amplitude=gain * np.exp(-2j * np.pi * carrier_hz * delay),
+        departure_azimuth_rad=pick(paths.phi_t),
+        departure_elevation_rad=0.5 * np.pi - pick(paths.theta_t),
+        arrival_azimuth_rad=pick(paths.phi_r),
+        arrival_elevation_rad=0.5 * np.pi - pick(paths.theta_r),
+        order=np.sum(walls >= 0, axis=1, dtype=np.int16),
+        walls=walls,
+    )
