@@ -1,0 +1,1 @@
+"""Channel estimation: from channel frequency responses to path delays and their variances."""

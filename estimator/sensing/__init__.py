@@ -1,0 +1,1 @@
+"""Active sensing: from echoes of a beam sweep to walls."""

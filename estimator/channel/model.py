@@ -1,0 +1,204 @@
+"""The signal model of delays on equally spaced tones: atoms, their kernel, correlations.
+
+A path of delay ``tau`` gives the atom ``a_n = exp(-j 2 pi n' x)`` on tone ``n``, where
+``n' = n - (N - 1) / 2`` counts tones from the middle of the band and ``x = tau * spacing``
+is the delay in *turns*: the phase it adds from one tone to the next, over ``2 pi``. A CFR is
+``y = sum_k g_k a(x_k) + noise`` (see :mod:`estimator.waveform`). Everything that estimation
+and bounds need follows from two things:
+
+- the inner products of atoms and of their derivatives, which depend on the difference of
+  delays alone and have a closed form, the Dirichlet kernel :func:`dirichlet`;
+- the correlations of a CFR with atoms at arbitrary delays, :class:`ToneCorrelator`.
+
+Since the tones are equally spaced and centred, all kernels are real.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimator.errors import InputError
+from estimator.waveform import OfdmGrid
+
+__all__ = ["ToneBlocks", "ToneCorrelator", "delay_atoms", "delay_information", "dirichlet"]
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_BLOCK = 32  # tones per block: close to the root of usual tone numbers, so that both factors are short
+
+
+def delay_atoms(grid: OfdmGrid, delay_s: ArrayLike) -> Complex:
+    """Atoms ``exp(-j 2 pi f tau)`` of given delays.
+
+    Parameters
+    ----------
+    grid : OfdmGrid
+        The tones.
+    delay_s : array_like, shape (...)
+        Delays, seconds.
+
+    Returns
+    -------
+    ndarray of complex128, shape (..., tones)
+    """
+    delay = np.asarray(delay_s, dtype=np.float64)
+    return np.asarray(np.exp(-2j * np.pi * delay[..., None] * grid.offsets_hz()))
+
+
+def dirichlet(turns: ArrayLike, tones: int) -> tuple[Real, Real, Real]:
+    """The Dirichlet kernel and its first two derivatives.
+
+    ``D(x) = sum_n exp(j 2 pi n' x) = sin(pi N x) / sin(pi x)`` over the centred tone
+    numbers ``n'``: the inner product of two atoms whose delays differ by ``x`` turns.
+
+    Parameters
+    ----------
+    turns : array_like
+        Differences of delays in turns, any shape.
+    tones : int
+        Number of tones ``N``.
+
+    Returns
+    -------
+    kernel, slope, curvature : ndarray of float64
+        ``D``, ``dD/dx`` and ``d2D/dx2`` in the shape of ``turns``.
+    """
+    x = np.asarray(turns, dtype=np.float64)
+    whole = np.rint(x)
+    x = x - whole
+    near = np.abs(x) * tones < 1e-2
+    sine = np.sin(np.pi * np.where(near, 0.5, x))
+    cosine = np.cos(np.pi * np.where(near, 0.5, x))
+    # D = sin(pi N x) / sin(pi x); the derivatives follow from D sin(pi x) = sin(pi N x).
+    kernel = np.sin(np.pi * tones * x) / sine
+    slope = np.pi * (tones * np.cos(np.pi * tones * x) - kernel * cosine) / sine
+    curvature = np.pi**2 * (1.0 - tones**2) * kernel - 2.0 * np.pi * slope * cosine / sine
+    if np.any(near):  # there the quotients cancel: Taylor series in the moments of n'
+        n2 = float(tones) ** 2
+        m0 = float(tones)
+        m2 = m0 * (n2 - 1.0) / 12.0
+        m4 = m2 * (3.0 * n2 - 7.0) / 20.0
+        m6 = m2 * (3.0 * n2**2 - 18.0 * n2 + 31.0) / 112.0
+        w = 2.0 * np.pi
+        v = (w * x) ** 2
+        kernel = np.where(near, m0 - v * (m2 / 2.0 - v * (m4 / 24.0 - v * m6 / 720.0)), kernel)
+        slope = np.where(near, -w * (w * x) * (m2 - v * (m4 / 6.0 - v * m6 / 120.0)), slope)
+        curvature = np.where(near, -w * w * (m2 - v * (m4 / 2.0 - v * m6 / 24.0)), curvature)
+    if tones % 2 == 0:  # half-integer n': the kernel changes sign from turn to turn
+        sign = 1.0 - 2.0 * np.mod(whole, 2.0)
+        kernel, slope, curvature = sign * kernel, sign * slope, sign * curvature
+    return np.asarray(kernel), np.asarray(slope), np.asarray(curvature)
+
+
+def delay_information(kernel: Real, slope: Real, curvature: Real, gain: Complex) -> Real:
+    """Fisher information of K delays once their complex gains are eliminated, for unit noise.
+
+    Parameters
+    ----------
+    kernel, slope, curvature : ndarray, shape (..., K, K)
+        The Dirichlet kernel and its derivatives at ``x_k - x_l``.
+    gain : ndarray of complex128, shape (..., K)
+        Gains.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., K, K)
+        ``Re(conj(g_k) g_l (-D'' - D'^T D^-1 D')_kl)``; twice this over the noise variance
+        is the information on the delays in turns.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If delays coincide, so that ``kernel`` is singular.
+    """
+    projected = -curvature - np.swapaxes(slope, -1, -2) @ np.linalg.solve(kernel, slope)
+    return np.asarray(np.real(np.conj(gain)[..., :, None] * gain[..., None, :]) * projected)
+
+
+@dataclass(frozen=True, eq=False)
+class ToneBlocks:
+    """CFRs prepared by :meth:`ToneCorrelator.split`.
+
+    Parameters
+    ----------
+    values : ndarray of complex128, shape (C, 3 * blocks, 32)
+        The tones of each CFR weighted with ``(j 2 pi n')^m``, m = 0, 1, 2, in blocks of 32.
+    """
+
+    values: Complex
+
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> ToneBlocks:
+        """The blocks of a selection of the CFRs."""
+        return ToneBlocks(self.values[rows])
+
+
+class ToneCorrelator:
+    """Correlates CFRs with atoms at arbitrary delays, and sums atoms, by a factorisation.
+
+    With the tones in blocks of 32, ``n' = 32 p + q``, an atom is the outer product of
+    ``exp(-j 2 pi 32 p x)`` and ``exp(-j 2 pi q x)``: for 819 tones, 58 exponentials rather than
+    819, and small matrix products in place of long sums. Nothing is approximated.
+
+    Parameters
+    ----------
+    tones : int
+        Number of tones, at least 2.
+    """
+
+    def __init__(self, tones: int) -> None:
+        if tones < 2:
+            raise InputError(f"tones: expected at least 2, got {tones}")
+        self.tones = tones
+        self._blocks = -(-tones // _BLOCK)
+        numbers = np.arange(tones) - 0.5 * (tones - 1)
+        self._weights = (2j * np.pi * numbers) ** np.arange(3)[:, None]
+        self._outer = 2j * np.pi * (_BLOCK * np.arange(self._blocks) - 0.5 * (tones - 1))
+        self._inner = 2j * np.pi * np.arange(_BLOCK)
+
+    def split(self, cfr: Complex) -> ToneBlocks:
+        """Prepare CFRs, shape (C, tones), for :meth:`correlate`."""
+        padded = np.zeros((len(cfr), 3, self._blocks * _BLOCK), dtype=np.complex128)
+        padded[:, :, : self.tones] = cfr[:, None, :] * self._weights
+        return ToneBlocks(padded.reshape(len(cfr), 3 * self._blocks, _BLOCK))
+
+    def correlate(self, blocks: ToneBlocks, turns: Real) -> tuple[Complex, Complex, Complex]:
+        """Correlation ``z(x) = sum_n y_n exp(j 2 pi n' x)`` and its first two derivatives in ``x``.
+
+        Parameters
+        ----------
+        blocks : ToneBlocks
+            C CFRs.
+        turns : ndarray, shape (C, K)
+            Delays in turns, K of their own for each CFR.
+
+        Returns
+        -------
+        z, slope, curvature : ndarray of complex128, shape (C, K)
+        """
+        inner = np.exp(self._inner[:, None] * turns[:, None, :])
+        outer = np.exp(self._outer[:, None] * turns[:, None, :])
+        partial = (blocks.values @ inner).reshape(len(turns), 3, self._blocks, -1)
+        sums = np.einsum("cmpk,cpk->mck", partial, outer)
+        return sums[0], sums[1], sums[2]
+
+    def synthesise(self, turns: Real, gain: Complex) -> Complex:
+        """Noiseless CFRs ``sum_k g_k a(x_k)``.
+
+        Parameters
+        ----------
+        turns : ndarray, shape (C, K)
+            Delays in turns.
+        gain : ndarray of complex128, shape (C, K)
+            Gains.
+
+        Returns
+        -------
+        ndarray of complex128, shape (C, tones)
+        """
+        outer = np.exp(-self._outer[:, None] * turns[:, None, :]) * gain[:, None, :]
+        inner = np.exp(-self._inner * turns[:, :, None])
+        return np.asarray((outer @ inner).reshape(len(turns), -1)[:, : self.tones])
