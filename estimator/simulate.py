@@ -9,7 +9,7 @@ type as the ray-traced chain's, so every engine runs on either.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -111,9 +111,7 @@ def simulate_epochs(
     return tuple(epochs)
 
 
-def _hear(
-    lengths: NDArray[np.float64], config: SimulationConfig, rng: np.random.Generator
-) -> AnchorPaths:
+def _hear(lengths: NDArray[np.float64], config: SimulationConfig, rng: np.random.Generator) -> AnchorPaths:
     detected = lengths[rng.random(lengths.size) < config.detection_probability]
     noisy = detected + rng.normal(scale=config.range_std_m, size=detected.size)
     clutter = rng.uniform(0.0, config.region_m, size=rng.poisson(config.clutter_mean))
@@ -159,4 +157,13 @@ def measure_scene(
     paths = specular_paths(start_m, end_m, anchors_m, track_m, config.order)
     epochs = simulate_epochs(paths, config, rng)
     names = tuple(f"pa{k + 1}" for k in range(paths.length_m.shape[1]))
-    return MeasurementSet(names, walls, epochs, carrier_hz, {"simulation": vars(config).copy()})
+    model = {
+        "range_std_m": config.range_std_m,
+        "detection_probability": min(max(config.detection_probability, 0.01), 0.99),
+        "clutter_mean": config.clutter_mean,
+        "region_m": config.region_m,
+        "height2_mean_m2": 0.0,
+        "height2_std_m2": 0.0,
+    }
+    settings = {"simulation": asdict(config), "measurement_model": model}
+    return MeasurementSet(names, walls, epochs, carrier_hz, settings)

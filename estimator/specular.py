@@ -39,7 +39,9 @@ class SpecularPaths:
     visible: NDArray[np.bool_]
 
 
-def _clear(a: NDArray[np.float64], b: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _clear(
+    a: NDArray[np.float64], b: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
+) -> NDArray[np.bool_]:
     """Whether the legs from ``a`` to ``b`` (..., 2) cross none of the walls (L, 2)."""
     crossed = segments_cross(a[..., None, :], b[..., None, :], start, end)
     return np.asarray(~np.any(crossed, axis=-1))

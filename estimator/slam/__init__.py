@@ -1,0 +1,20 @@
+"""SLAM: epochs of path delays in; agent, anchors and walls with uncertainty out."""
+
+from estimator.slam.config import GaussianConfig
+from estimator.slam.estimate import Estimate, estimate
+from estimator.slam.gaussian import step
+from estimator.slam.run import run_slam
+from estimator.slam.start import start
+from estimator.slam.state import GaussianState, load_state, save_state
+
+__all__ = [
+    "Estimate",
+    "GaussianConfig",
+    "GaussianState",
+    "estimate",
+    "load_state",
+    "run_slam",
+    "save_state",
+    "start",
+    "step",
+]

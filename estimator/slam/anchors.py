@@ -97,7 +97,12 @@ class Candidates:
 
 
 def images_of_agent(
-    position: Array, position_variance: float, walls: Array, wall_covariance: Array, slots: NDArray[np.int64], epoch: int
+    position: Array,
+    position_variance: float,
+    walls: Array,
+    wall_covariance: Array,
+    slots: NDArray[np.int64],
+    epoch: int,
 ) -> Centres:
     """The agent and its images in the walls, up to two bounces.
 
@@ -120,17 +125,17 @@ def images_of_agent(
     first = reflect(np.broadcast_to(position, (count, 2)), walls)
     own = position_variance * np.eye(2)
     covariance = own + wall_covariance
-    # from the anchor over l, then m, to the agent: centre = image in l of the image in m
-    l, m = np.nonzero(~np.eye(count, dtype=bool))
-    second = reflect(first[m], walls[l])
+    # from the anchor over a near, then a far wall: the image in the near of the image in the far
+    near, far = np.nonzero(~np.eye(count, dtype=bool))
+    second = reflect(first[far], walls[near])
     none = np.full(1, -1)
     return Centres(
         np.concatenate([position[None], first, second]),
-        np.concatenate([own[None], covariance, covariance[l] + wall_covariance[m]]),
+        np.concatenate([own[None], covariance, covariance[near] + wall_covariance[far]]),
         np.repeat([0, 1, 2], [1, count, l.size]),
         np.full(1 + count + l.size, epoch),
-        np.concatenate([none, slots, slots[l]]),
-        np.concatenate([none, np.full(count, -1), slots[m]]),
+        np.concatenate([none, slots, slots[near]]),
+        np.concatenate([none, np.full(count, -1), slots[far]]),
     )
 
 
@@ -148,7 +153,9 @@ def _along(unit: Array, centres: Centres) -> Array:
     return np.asarray(np.einsum("sci,cij,scj->sc", unit, centres.covariance_m2, unit))
 
 
-def _odds(points: Array, centres: Centres, paths: PathBatch, walls: dict[int, Array], config: GaussianConfig) -> tuple[Array, Array, Array]:
+def _odds(
+    points: Array, centres: Centres, paths: PathBatch, walls: dict[int, Array], config: GaussianConfig
+) -> tuple[Array, Array, Array]:
     """Association ratios (S, C, N), miss probabilities (S, C) and residuals (S, C, N)."""
     offset = points[:, None, :] - centres.point_m
     distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)  # (S, C)
@@ -160,10 +167,16 @@ def _odds(points: Array, centres: Centres, paths: PathBatch, walls: dict[int, Ar
     chance = np.array(_PRIOR)[centres.bounces] * config.detection_probability
     possible = np.ones(distance.shape, dtype=bool)
     for slot, vrp in walls.items():
-        possible[:, (centres.wall == slot) & (centres.bounces == 1)] &= (wall_side(points, vrp) < 0.0)[:, None]
+        possible[:, (centres.wall == slot) & (centres.bounces == 1)] &= (wall_side(points, vrp) < 0.0)[
+            :, None
+        ]
     chance = np.where(possible, chance, 0.0)
     odds = chance / (1.0 - chance) / config.clutter_density
-    return np.where(gate, odds[..., None] * density * _loss_ratio(paths, centres.bounces), 0.0), 1.0 - chance, residual
+    return (
+        np.where(gate, odds[..., None] * density * _loss_ratio(paths, centres.bounces), 0.0),
+        1.0 - chance,
+        residual,
+    )
 
 
 def _intersections(centres: Array, radii: Array) -> Array:
@@ -211,7 +224,9 @@ def _distinct(points: Array, score: Array, radius: float, limit: int) -> NDArray
     return np.array(kept, dtype=np.int64)
 
 
-def _refine(points: Array, centres: Centres, paths: PathBatch, walls: dict[int, Array], config: GaussianConfig) -> tuple[Array, Array]:
+def _refine(
+    points: Array, centres: Centres, paths: PathBatch, walls: dict[int, Array], config: GaussianConfig
+) -> tuple[Array, Array]:
     """Gauss-Newton on the likeliest label of each centre; points (S, 2), information (S, 2, 2)."""
     information = np.zeros((len(points), 2, 2))
     for _ in range(6):
@@ -231,7 +246,11 @@ def _refine(points: Array, centres: Centres, paths: PathBatch, walls: dict[int, 
 
 
 def locate(
-    centres: Centres, paths: PathBatch, walls: dict[int, Array], config: GaussianConfig, seed_epochs: NDArray[np.int64]
+    centres: Centres,
+    paths: PathBatch,
+    walls: dict[int, Array],
+    config: GaussianConfig,
+    seed_epochs: NDArray[np.int64],
 ) -> Candidates:
     """Find the places from which the paths of an anchor make sense.
 

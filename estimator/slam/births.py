@@ -194,7 +194,13 @@ def _vrp_by_image(image: Array, anchor: Array) -> Array:
 
 
 def _can_be(
-    vrp: Array, image: Array, position: Array, anchor: Array, walls: Array, spans: Array, config: GaussianConfig
+    vrp: Array,
+    image: Array,
+    position: Array,
+    anchor: Array,
+    walls: Array,
+    spans: Array,
+    config: GaussianConfig,
 ) -> NDArray[np.bool_]:
     """Whether new walls (B,) contradict nothing that is known."""
     fine = np.all(wall_side(position[:, None, :], vrp) * wall_side(anchor, vrp) > 0.0, axis=0)

@@ -104,14 +104,20 @@ class GaussianConfig:
         for entry in fields(self):
             value = getattr(self, entry.name)
             if not np.isfinite(value):
-                raise ConfigurationError(f"GaussianConfig.{entry.name}: expected a finite number, got {value!r}")
+                raise ConfigurationError(
+                    f"GaussianConfig.{entry.name}: expected a finite number, got {value!r}"
+                )
             signed = entry.name in ("birth_log_prior",)
             zero = entry.name in ("height2_mean_m2", "height2_std_m2", "clutter_mean")
             if not signed and (value < 0 or (value == 0 and not zero)):
-                raise ConfigurationError(f"GaussianConfig.{entry.name}: expected a positive number, got {value!r}")
+                raise ConfigurationError(
+                    f"GaussianConfig.{entry.name}: expected a positive number, got {value!r}"
+                )
         for name in ("detection_probability", "appear_probability", "vanish_probability", "confirm_weight"):
             if not getattr(self, name) < 1.0:
-                raise ConfigurationError(f"GaussianConfig.{name}: expected less than 1, got {getattr(self, name)}")
+                raise ConfigurationError(
+                    f"GaussianConfig.{name}: expected less than 1, got {getattr(self, name)}"
+                )
 
     @property
     def clutter_density(self) -> float:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.geometry import rotation_matrix
 from estimator.slam.config import GaussianConfig
-from estimator.slam.hypotheses import reduce_rows
+from estimator.slam.hypotheses import moments
 from estimator.slam.state import GaussianState
 
 __all__ = ["Estimate", "estimate"]
@@ -61,24 +61,28 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         ``confirm_radius_m``: rows that have a wall elsewhere do not blur it.
     """
     layout = state.layout
-    weight = np.exp(state.log_weight)
+    rows = state.rows
+    weight = np.exp(rows.log_weight)
     weight = weight / weight.sum()
-    mean, covariance = reduce_rows(weight, state.mean, state.covariance)
+    mean, covariance = moments(weight, rows.mean, rows.covariance)
     best = int(np.argmax(weight))
 
     agent = _turned(state, mean, covariance, (slice(0, 2), slice(2, 4)))
-    valid = state.located[best].copy()
-    anchors, anchor_covariances = np.full((layout.anchors, 2), np.nan), np.full((layout.anchors, 2, 2), np.nan)
+    valid = rows.located[best].copy()
+    anchors, anchor_covariances = (
+        np.full((layout.anchors, 2), np.nan),
+        np.full((layout.anchors, 2, 2), np.nan),
+    )
     for k in np.flatnonzero(valid):
         place = layout.anchor(int(k))
         xy = slice(place.start, place.start + 2)
-        anchors[k], anchor_covariances[k] = _subset(state, weight, state.located[:, k], xy)
-    found = np.flatnonzero(state.confirmed & state.present[best])
+        anchors[k], anchor_covariances[k] = _subset(state, weight, rows.located[:, k], xy)
+    found = np.flatnonzero(state.slots.confirmed & rows.present[best])
     walls, wall_covariances = np.empty((found.size, 2)), np.empty((found.size, 2, 2))
     for j, slot in enumerate(found):
         xy = layout.wall(int(slot))
-        near = np.linalg.norm(state.mean[:, xy] - state.mean[best, xy], axis=1) < config.confirm_radius_m
-        walls[j], wall_covariances[j] = _subset(state, weight, state.present[:, slot] & near, xy)
+        near = np.linalg.norm(rows.mean[:, xy] - rows.mean[best, xy], axis=1) < config.confirm_radius_m
+        walls[j], wall_covariances[j] = _subset(state, weight, rows.present[:, slot] & near, xy)
     return Estimate(
         agent[0],
         agent[1],
@@ -86,7 +90,7 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         valid,
         anchors,
         anchor_covariances,
-        state.wall_id[found],
+        state.slots.wall_id[found],
         walls,
         wall_covariances,
     )
@@ -95,11 +99,13 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
 def _subset(state: GaussianState, weight: Array, rows: NDArray[np.bool_], xy: slice) -> tuple[Array, Array]:
     """Mean (2,) and covariance (2, 2) of a point in the rows that know it, estimator's frame."""
     share = weight[rows] / weight[rows].sum()
-    mean, covariance = reduce_rows(share, state.mean[rows], state.covariance[rows])
+    mean, covariance = moments(share, state.rows.mean[rows], state.rows.covariance[rows])
     return _turned(state, mean, covariance, (xy,))
 
 
-def _turned(state: GaussianState, mean: Array, covariance: Array, parts: tuple[slice, ...]) -> tuple[Array, Array]:
+def _turned(
+    state: GaussianState, mean: Array, covariance: Array, parts: tuple[slice, ...]
+) -> tuple[Array, Array]:
     """Vectors of the gauge frame, and theta's uncertainty, in the estimator's frame."""
     theta = state.layout.THETA
     turn = rotation_matrix(state.bearing_rad + mean[theta])

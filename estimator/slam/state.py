@@ -8,41 +8,30 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from estimator.errors import FileFormatError
 from estimator.slam.layout import Layout
 
-__all__ = ["GaussianState", "load_state", "save_state"]
+__all__ = ["NOWHERE_M", "GaussianState", "Rows", "Slots", "load_state", "save_state"]
 
 FORMAT = "hapslam-gaussian-state/1"
+NOWHERE_M = 1e4  # coordinates of unknown anchors and of the VRPs of empty slots
 
 
 @dataclass(frozen=True, eq=False)
-class GaussianState:
-    """Hypotheses (rows) on associations and walls, each with one joint Gaussian.
+class Rows:
+    """Hypotheses, one per row, each with one joint Gaussian.
 
     Shapes: R rows, K anchors, L wall slots, F features per anchor, n the length of
-    the state vector (:class:`estimator.slam.layout.Layout`). Positions are metres in
-    the gauge frame.
+    the state vector (:class:`estimator.slam.layout.Layout`).
 
     Parameters
     ----------
-    anchor_names : tuple of str
-        The K anchors.
-    bearing_rad : float
-        Expected direction of the gauge frame's x axis in the estimator's frame.
-    epoch : int
-        Last epoch taken in, -1 before the first.
-    time_s : float
-        Its time, seconds.
-    carrier_hz : float
-        Carrier frequency, hertz.
-    log_evidence : float
-        Log of the evidence of all epochs.
     log_weight : ndarray, shape (R,)
-        Normalised log weights of the hypotheses, descending.
+        Log weights; normalised between epochs, the likeliest row first.
     mean : ndarray, shape (R, n)
-        Means.
+        Means, metres in the gauge frame.
     covariance : ndarray, shape (R, n, n)
         Covariances.
     located : ndarray of bool, shape (R, K)
@@ -53,28 +42,8 @@ class GaussianState:
         Probability that a feature can be heard at present.
     support : ndarray of int64, shape (R, L)
         Epochs in which each wall was heard since it entered.
-    wall_id : ndarray of int64, shape (L,)
-        Identity of the wall in each slot, -1 for an empty slot.
-    wall_epoch : ndarray of int64, shape (L,)
-        Epoch at which it entered, -1 for the walls known from the start.
-    confirmed : ndarray of bool, shape (L,)
-        Whether it counts as found.
-    span_m : ndarray, shape (L, 2)
-        Stretch along the wall on which reflections were heard: signed distances from
-        the foot of RP, metres; empty is (inf, -inf).
-    trail : ndarray, shape (W, 6)
-        Recent epochs of the best row: epoch, x, y, position standard deviation, vx, vy.
-    loose : ndarray, shape (N, 5)
-        Recent unexplained paths: epoch, anchor, length, its standard deviation, loss
-        in excess of free space in dB (NaN if powers are unknown).
     """
 
-    anchor_names: tuple[str, ...]
-    bearing_rad: float
-    epoch: int
-    time_s: float
-    carrier_hz: float
-    log_evidence: float
     log_weight: NDArray[np.float64]
     mean: NDArray[np.float64]
     covariance: NDArray[np.float64]
@@ -82,33 +51,130 @@ class GaussianState:
     present: NDArray[np.bool_]
     visibility: NDArray[np.float64]
     support: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.log_weight)
+
+    @property
+    def best(self) -> int:
+        """Index of the likeliest row."""
+        return int(np.argmax(self.log_weight))
+
+    def take(self, index: NDArray[np.int64] | list[int]) -> Rows:
+        """Copies of the rows at ``index``, in that order."""
+        return Rows(*(getattr(self, entry.name)[index] for entry in fields(self)))
+
+    def joined(self, other: Rows) -> Rows:
+        """These rows and then those of ``other``."""
+        pairs = ((getattr(self, entry.name), getattr(other, entry.name)) for entry in fields(self))
+        return Rows(*(np.concatenate(pair) for pair in pairs))
+
+    def keep(self, mask: NDArray[np.bool_]) -> Rows:
+        """The marked rows, weights normalised."""
+        rows = self.take(np.flatnonzero(mask))
+        rows.log_weight[...] -= logsumexp(rows.log_weight)
+        return rows
+
+
+@dataclass(frozen=True, eq=False)
+class Slots:
+    """What all rows agree on about the wall slots.
+
+    Parameters
+    ----------
+    wall_id : ndarray of int64, shape (L,)
+        Identity of the wall in each slot, -1 for an empty slot.
+    born : ndarray of int64, shape (L,)
+        Epoch at which it entered, -1 for the walls known from the start.
+    confirmed : ndarray of bool, shape (L,)
+        Whether it counts as found.
+    span_m : ndarray, shape (L, 2)
+        Stretch along the wall on which reflections were heard: signed distances from
+        the foot of RP, metres; empty is (inf, -inf).
+    """
+
     wall_id: NDArray[np.int64]
-    wall_epoch: NDArray[np.int64]
+    born: NDArray[np.int64]
     confirmed: NDArray[np.bool_]
     span_m: NDArray[np.float64]
+
+    @property
+    def pending(self) -> NDArray[np.int64]:
+        """Slots with a wall that is not confirmed."""
+        return np.flatnonzero((self.wall_id >= 0) & ~self.confirmed)
+
+    def copy(self) -> Slots:
+        """A copy whose arrays may be changed."""
+        return Slots(*(getattr(self, entry.name).copy() for entry in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianState:
+    """Hypotheses and what the next steps need of the past.
+
+    Parameters
+    ----------
+    anchor_names : tuple of str
+        The K anchors.
+    carrier_hz : float
+        Carrier frequency, hertz.
+    bearing_rad : float
+        Expected direction of the gauge frame's x axis in the estimator's frame.
+    epoch : int
+        Last epoch taken in, -1 before the first.
+    time_s : float
+        Its time, seconds.
+    log_evidence : float
+        Log of the evidence of all epochs over "all is clutter".
+    next_wall_id : int
+        Identity that the next new wall gets.
+    rows : Rows
+        Hypotheses on associations and walls.
+    slots : Slots
+        The wall slots.
+    trail : ndarray, shape (W, 4)
+        Recent epochs of the best row: epoch, x, y, position standard deviation.
+    loose : ndarray, shape (N, 5)
+        Recent unexplained paths: epoch, anchor, length, its standard deviation, loss
+        in excess of free space in dB (NaN if powers are unknown).
+    """
+
+    anchor_names: tuple[str, ...]
+    carrier_hz: float
+    bearing_rad: float
+    epoch: int
+    time_s: float
+    log_evidence: float
+    next_wall_id: int
+    rows: Rows
+    slots: Slots
     trail: NDArray[np.float64]
     loose: NDArray[np.float64]
 
     @property
     def layout(self) -> Layout:
         """Positions in the state vector."""
-        return Layout(len(self.anchor_names), len(self.wall_id))
+        return Layout(len(self.anchor_names), len(self.slots.wall_id))
+
+    def active(self) -> NDArray[np.bool_]:
+        """Features (R, K, F) that each row has; pairs need two walls that count as found."""
+        present = self.rows.present
+        found = present & self.slots.confirmed
+        pairs = (found[:, :, None] & found[:, None, :]).reshape(len(present), -1)
+        features = np.concatenate([np.ones((len(present), 1), dtype=bool), present, pairs], axis=1)
+        return np.asarray(self.rows.located[:, :, None] & features[:, None, :])
 
 
-_ROWS = ("log_weight", "mean", "covariance", "located", "present", "visibility", "support")
-
-
-def take_rows(state: GaussianState, rows: NDArray[np.int64]) -> dict[str, NDArray[np.generic]]:
-    """The row arrays of ``state`` at ``rows``, by name."""
-    return {name: getattr(state, name)[rows] for name in _ROWS}
+_SCALARS = ("carrier_hz", "bearing_rad", "epoch", "time_s", "log_evidence", "next_wall_id")
 
 
 def save_state(state: GaussianState) -> bytes:
     """The state as bytes (an npz archive without pickles); equal states give equal bytes."""
-    columns = {}
-    for entry in fields(state):
-        value = getattr(state, entry.name)
-        columns[entry.name] = np.asarray(value)
+    columns = {name: np.asarray(getattr(state, name)) for name in _SCALARS}
+    columns |= {name: getattr(state, name) for name in ("trail", "loose")}
+    columns["anchor_names"] = np.array(state.anchor_names)
+    columns |= {f"rows.{entry.name}": getattr(state.rows, entry.name) for entry in fields(Rows)}
+    columns |= {f"slots.{entry.name}": getattr(state.slots, entry.name) for entry in fields(Slots)}
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, format=np.array(FORMAT), **columns)
     return stream.getvalue()
@@ -125,18 +191,27 @@ def load_state(data: bytes) -> GaussianState:
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             columns = {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, zipfile.BadZipFile, EOFError) as error:
-        raise FileFormatError(f"state: expected {FORMAT}, could not read {len(data)} bytes: {error}") from error
-    found = str(columns.pop("format", "nothing"))
-    names = {entry.name for entry in fields(GaussianState)}
-    if found != FORMAT or set(columns) != names:
-        raise FileFormatError(f"state: expected {FORMAT} with {sorted(names)}, got {found} with {sorted(columns)}")
-    return GaussianState(
-        anchor_names=tuple(str(name) for name in columns.pop("anchor_names")),
-        bearing_rad=float(columns.pop("bearing_rad")),
-        epoch=int(columns.pop("epoch")),
-        time_s=float(columns.pop("time_s")),
-        carrier_hz=float(columns.pop("carrier_hz")),
-        log_evidence=float(columns.pop("log_evidence")),
-        **columns,
-    )
+        found = str(columns["format"])
+        if found != FORMAT:
+            raise FileFormatError(f"state: expected {FORMAT}, got {found}")
+        rows = Rows(*(columns[f"rows.{entry.name}"] for entry in fields(Rows)))
+        slots = Slots(*(columns[f"slots.{entry.name}"] for entry in fields(Slots)))
+        return GaussianState(
+            anchor_names=tuple(str(name) for name in columns["anchor_names"]),
+            trail=columns["trail"],
+            loose=columns["loose"],
+            carrier_hz=float(columns["carrier_hz"]),
+            bearing_rad=float(columns["bearing_rad"]),
+            epoch=int(columns["epoch"]),
+            time_s=float(columns["time_s"]),
+            log_evidence=float(columns["log_evidence"]),
+            next_wall_id=int(columns["next_wall_id"]),
+            rows=rows,
+            slots=slots,
+        )
+    except (ValueError, OSError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        if isinstance(error, FileFormatError):
+            raise
+        raise FileFormatError(
+            f"state: expected {FORMAT}, could not read {len(data)} bytes: {error}"
+        ) from error

@@ -149,7 +149,9 @@ def correct(
     # second pass: everything else, predicted again
     prediction = predict_paths(mean, layout)
     rest = np.where(taken, 0.0, chance)
-    ratio, spread, innovation = _ratios(prediction, covariance, rest, length_m, variance, valid, layout, config)
+    ratio, spread, innovation = _ratios(
+        prediction, covariance, rest, length_m, variance, valid, layout, config
+    )
     ratio = np.where(used[:, :, None, :], 0.0, ratio)
     association = associate(ratio)
     log_evidence = log_evidence + np.sum(association.log_evidence + np.sum(np.log1p(-rest), axis=-1), axis=-1)
@@ -159,12 +161,12 @@ def correct(
     expected = np.sum(share * innovation, axis=-1) / weight
     second = np.sum(share * (innovation**2 + variance[:, None, :]), axis=-1) / weight - expected**2
     soft = (heard > 0.05) & (spread < config.pair_std_m**2)
-    mean, covariance, _ = _take(
-        mean, covariance, prediction.jacobian, expected, second / weight, soft
-    )
+    mean, covariance, _ = _take(mean, covariance, prediction.jacobian, expected, second / weight, soft)
 
     heard = np.where(taken, 1.0, heard)
-    seen = visibility * (1.0 - config.detection_probability) / (1.0 - visibility * config.detection_probability)
+    seen = (
+        visibility * (1.0 - config.detection_probability) / (1.0 - visibility * config.detection_probability)
+    )
     visibility = np.where(active, heard + (1.0 - heard) * seen, visibility)
     explained = np.where(used, 1.0, share.sum(axis=-2))
     return Correction(mean, covariance, visibility, heard, explained, log_evidence)

@@ -1,0 +1,133 @@
+"""Anchors enter the joint state: candidates are searched and hypotheses forked."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.slam.anchors import Candidates, Centres, PathBatch, images_of_agent, locate
+from estimator.slam.config import GaussianConfig
+from estimator.slam.features import predict_paths
+from estimator.slam.hypotheses import tidy
+from estimator.slam.memory import PathTable
+from estimator.slam.slots import fresh_visibility
+from estimator.slam.state import GaussianState, Rows
+from estimator.slam.update import kalman
+
+__all__ = ["locate_anchors"]
+
+Array = NDArray[np.float64]
+_PRIOR_STD_M = 10.0  # of an anchor started from one epoch, whose paths all enter the joint Gaussian
+
+
+def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfig) -> GaussianState:
+    """Start the anchors that the best row has not located, where the paths allow it.
+
+    The rows that lack the anchor split: one for each candidate place, weighted by
+    its evidence, and one that goes on without it.
+
+    Parameters
+    ----------
+    state : GaussianState
+        State with corrected rows.
+    paths : PathTable
+        The epoch's paths.
+    config : GaussianConfig
+        Models.
+    """
+    for k in range(state.layout.anchors):
+        if state.rows.located[state.rows.best, k]:
+            continue
+        centres, batch, walls = _gather(state, paths, k, config)
+        found = locate(centres, batch, walls, config, np.array([state.epoch]))
+        now = centres.epoch == state.epoch
+        epochs = np.unique(batch.epoch).size
+        fresh = np.sum((found.label >= 0) & now & (centres.bounces < 2), axis=1)
+        enough = (found.matches >= config.start_matches * min(epochs, 2)) & (fresh >= 2)
+        if enough.any():
+            chosen = Candidates(*(getattr(found, entry.name)[enough] for entry in fields(found)))
+            rows = _fork(state, paths, k, chosen, centres, epochs > 1, config)
+            state = replace(state, rows=tidy(rows, config))
+    return state
+
+
+def _gather(
+    state: GaussianState, paths: PathTable, k: int, config: GaussianConfig
+) -> tuple[Centres, PathBatch, dict[int, Array]]:
+    """Circles of anchor ``k``: this epoch's and, every fourth epoch, recent ones."""
+    layout, rows, best = state.layout, state.rows, state.rows.best
+    mean, covariance = rows.mean[best], rows.covariance[best]
+    slots = np.flatnonzero(rows.present[best] & state.slots.confirmed)
+    walls = mean[layout.walls].reshape(-1, 2)[slots]
+    spread = np.array([covariance[layout.wall(s), layout.wall(s)] for s in slots.tolist()])
+    n = int(paths.valid[k].sum())
+    variance = 0.5 * float(np.trace(covariance[:2, :2]))
+    centres = [images_of_agent(mean[:2], variance, walls, spread, slots, state.epoch)]
+    table = [paths.length_m[k, :n], paths.std_m[k, :n], paths.excess_loss_db[k, :n]]
+    heard = [np.column_stack([np.full(n, state.epoch), *table])]
+    if state.epoch % 4 == 0:
+        for epoch, x, y, std in state.trail[:-1:3]:
+            old = state.loose[(state.loose[:, 1] == k) & (state.loose[:, 0] == epoch)]
+            if len(old):
+                centres.append(images_of_agent(np.array([x, y]), std**2, walls, spread, slots, int(epoch)))
+                heard.append(old[:, [0, 2, 3, 4]])
+    joined = Centres(
+        *(np.concatenate([getattr(c, entry.name) for c in centres]) for entry in fields(Centres))
+    )
+    columns = np.concatenate(heard)
+    batch = PathBatch(
+        columns[:, 1],
+        np.maximum(columns[:, 2], config.range_std_m) ** 2,
+        columns[:, 0].astype(np.int64),
+        columns[:, 3],
+    )
+    return joined, batch, dict(zip(slots.tolist(), walls, strict=True))
+
+
+def _fork(
+    state: GaussianState,
+    paths: PathTable,
+    k: int,
+    found: Candidates,
+    centres: Centres,
+    windowed: bool,
+    config: GaussianConfig,
+) -> Rows:
+    """Rows without anchor ``k`` split into one row per candidate and one that waits on.
+
+    The candidates' own covariances are not believed: they come from walls held
+    fixed. Each starts wide, and the labels found take this epoch's paths into the
+    joint Gaussian, where anchor and walls become correlated. Earlier epochs only
+    chose the place; their lengths are not used as information again.
+    """
+    layout = state.layout
+    waiting = np.flatnonzero(~state.rows.located[:, k])
+    count = len(found.mean_m)
+    candidate = np.tile(np.arange(count), len(waiting))
+    new = state.rows.take(np.repeat(waiting, count))
+    place = layout.anchor(k)
+    xy = slice(place.start, place.start + 2)
+    new.located[:, k] = True
+    new.log_weight[...] += found.log_evidence[candidate]
+    new.mean[:, xy] = found.mean_m[candidate]
+    wide = 9.0 * found.covariance_m2[candidate] + 0.25 * np.eye(2)
+    new.covariance[:, xy, xy] = wide if windowed else _PRIOR_STD_M**2 * np.eye(2)
+    new.visibility[:, k] = fresh_visibility(layout)
+
+    now = np.flatnonzero((centres.epoch == state.epoch) & (centres.bounces < 2))
+    feature = np.where(centres.bounces[now] == 0, 0, 1 + centres.wall[now])
+    label = found.label[candidate][:, now]  # this epoch's paths come first in the batch
+    known = label >= 0
+    prediction = predict_paths(new.mean, layout)
+    length = paths.length_m[k][np.maximum(label, 0)]
+    std = np.maximum(paths.std_m[k][np.maximum(label, 0)], config.range_std_m)
+    mean, covariance, _ = kalman(
+        new.mean,
+        new.covariance,
+        np.where(known[..., None], prediction.jacobian[:, k, feature], 0.0),
+        np.where(known, length - prediction.length_m[:, k, feature], 0.0),
+        np.where(known, std**2, 0.5 / np.pi),
+    )
+    return state.rows.joined(replace(new, mean=mean, covariance=covariance))

@@ -1,0 +1,118 @@
+"""What an epoch leaves behind for later steps: the track, the unexplained, the spans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.measurements import Epoch
+from estimator.slam.config import GaussianConfig
+from estimator.slam.features import predict_paths, reflect, wall_side
+from estimator.slam.state import GaussianState
+from estimator.slam.update import predicted_variance
+from estimator.waveform import free_space_loss_db
+
+__all__ = ["PathTable", "remember", "stack_paths", "widen_spans"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PathTable:
+    """The paths of an epoch as padded arrays.
+
+    Parameters
+    ----------
+    length_m, std_m : ndarray, shape (K, M)
+        Path lengths and their standard deviations.
+    excess_loss_db : ndarray, shape (K, M)
+        Loss beyond free space, dB; NaN if powers are unknown.
+    valid : ndarray of bool, shape (K, M)
+        Which entries are measurements; an anchor's come first.
+    """
+
+    length_m: Array
+    std_m: Array
+    excess_loss_db: Array
+    valid: NDArray[np.bool_]
+
+
+def stack_paths(epoch: Epoch, carrier_hz: float) -> PathTable:
+    """The paths of an epoch in one table."""
+    shape = (len(epoch.paths), max((len(paths) for paths in epoch.paths), default=0) or 1)
+    length, std, loss = np.ones(shape), np.ones(shape), np.full(shape, np.nan)
+    valid = np.zeros(shape, dtype=bool)
+    for k, paths in enumerate(epoch.paths):
+        n = len(paths)
+        length[k, :n], std[k, :n], valid[k, :n] = paths.range_m, paths.range_std_m, True
+        if paths.gain_db is not None:
+            loss[k, :n] = -paths.gain_db - free_space_loss_db(paths.range_m, carrier_hz)
+    return PathTable(length, std, loss, valid)
+
+
+def widen_spans(state: GaussianState, row: int, heard: Array) -> Array:
+    """Spans (L, 2) of the walls after the bounces that a row heard.
+
+    Parameters
+    ----------
+    state : GaussianState
+        State with corrected rows.
+    row : int
+        The row to believe.
+    heard : ndarray, shape (K, F)
+        Probability that each feature was measured.
+    """
+    layout, mean = state.layout, state.rows.mean[row]
+    span = state.slots.span_m.copy()
+    wall = mean[layout.walls].reshape(-1, 2)
+    normal = wall / np.linalg.norm(wall, axis=1, keepdims=True)
+    for k in range(layout.anchors):
+        image = reflect(mean[None, layout.anchor(k)][:, :2], wall)
+        side, other = wall_side(mean[None, :2], wall), wall_side(image, wall)
+        gap = np.where(side == other, 1.0, side - other)
+        bounce = mean[:2] + (side / gap)[:, None] * (image - mean[:2])
+        along = bounce[:, 1] * normal[:, 0] - bounce[:, 0] * normal[:, 1]
+        hit = heard[k, 1 : 1 + layout.slots] > 0.5
+        span[:, 0] = np.where(hit, np.minimum(span[:, 0], along), span[:, 0])
+        span[:, 1] = np.where(hit, np.maximum(span[:, 1], along), span[:, 1])
+    return span
+
+
+def remember(
+    state: GaussianState, paths: PathTable, explained: Array, config: GaussianConfig
+) -> GaussianState:
+    """Note where the agent is and what nothing explains.
+
+    A path counts as explained if a feature probably gave it, or if it lies close to
+    where any possible feature would be heard: beside a known path stand its echoes,
+    not new walls.
+
+    Parameters
+    ----------
+    state : GaussianState
+        State with corrected rows.
+    paths : PathTable
+        The epoch's paths.
+    explained : ndarray, shape (K, M)
+        Probability that the best row explains each path.
+    config : GaussianConfig
+        ``pair_radius_m`` and the windows.
+    """
+    rows, best = state.rows, state.rows.best
+    mean, covariance = rows.mean[best], rows.covariance[best]
+    std = np.sqrt(0.5 * np.trace(covariance[:2, :2]))
+    trail = np.concatenate([state.trail, [[state.epoch, mean[0], mean[1], std]]])
+    prediction = predict_paths(mean[None], state.layout)
+    spread = predicted_variance(prediction, covariance[None])[0]
+    distance = np.abs(paths.length_m[:, None, :] - prediction.length_m[0][..., None])
+    radius = np.minimum(config.pair_radius_m + 2.0 * np.sqrt(spread), 3.0)
+    active = state.active()[best] & prediction.possible[0]
+    near = np.any(active[..., None] & (distance < radius[..., None]), axis=1)
+    taken = rows.located[best][:, None] & (near | (explained > 0.3))
+    k, j = np.nonzero(paths.valid & ~taken)
+    columns = (paths.length_m[k, j], paths.std_m[k, j], paths.excess_loss_db[k, j])
+    loose = np.concatenate([state.loose, np.stack([np.full(k.size, state.epoch), k, *columns], axis=1)])
+    oldest = state.epoch - max(config.birth_window, config.start_window)
+    return replace(state, trail=trail[trail[:, 0] > oldest], loose=loose[loose[:, 0] > oldest])

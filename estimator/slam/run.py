@@ -1,0 +1,143 @@
+"""A whole run: measurements in, estimates of every epoch out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from estimator.errors import ConfigurationError
+from estimator.measurements import MeasurementSet
+from estimator.result import SlamResult
+from estimator.slam.config import GaussianConfig
+from estimator.slam.estimate import Estimate, estimate
+from estimator.slam.gaussian import step
+from estimator.slam.start import start
+from estimator.slam.state import GaussianState
+
+__all__ = ["ENGINES", "METHODS", "config_for", "run_slam"]
+
+METHODS = ("hybrid",)
+ENGINES = ("gaussian",)
+
+
+def config_for(measurements: MeasurementSet, base: GaussianConfig | None = None) -> GaussianConfig:
+    """The configuration that fits the measurements.
+
+    What produced them may state its noise in ``settings["measurement_model"]`` (a
+    mapping of :class:`GaussianConfig` fields); the rest is ``base`` or the default.
+
+    Raises
+    ------
+    ConfigurationError
+        If the mapping names an unknown field or a value out of range.
+    """
+    stated: Mapping[str, Any] = measurements.settings.get("measurement_model", {})
+    try:
+        return replace(base or GaussianConfig(), **stated)
+    except TypeError as error:
+        raise ConfigurationError(
+            f"measurement_model: expected fields of GaussianConfig, got {dict(stated)}"
+        ) from error
+
+
+def run_slam(
+    measurements: MeasurementSet,
+    method: str = "hybrid",
+    engine: str = "gaussian",
+    seed: int = 0,
+    config: GaussianConfig | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> SlamResult:
+    """Run SLAM over all epochs.
+
+    Parameters
+    ----------
+    measurements : MeasurementSet
+        Walls sensed at the start and epochs of paths.
+    method : str
+        What is known and sensed: ``"hybrid"`` (nothing known, active and passive sensing).
+    engine : str
+        How inference is done: ``"gaussian"``.
+    seed : int
+        Seed of engines that draw random numbers; recorded in the result.
+    config : GaussianConfig, optional
+        Models and limits; by default those that fit the measurements.
+    progress : callable, optional
+        Called with (epochs done, epochs in all).
+
+    Returns
+    -------
+    SlamResult
+
+    Raises
+    ------
+    ConfigurationError
+        If the method or the engine is unknown.
+    InputError
+        If the measurements hold no wall, no anchor or no epoch in order.
+    """
+    if method not in METHODS:
+        raise ConfigurationError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+    if engine not in ENGINES:
+        raise ConfigurationError(f"engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
+    config = config_for(measurements) if config is None else config
+    rng = np.random.default_rng(seed)
+    state = start(measurements.walls, measurements.anchors, measurements.carrier_hz, config)
+    states: list[tuple[int, float]] = []
+    estimates: list[Estimate] = []
+    for done, epoch in enumerate(measurements.epochs):
+        state = step(state, epoch, config, rng)
+        states.append((len(state.rows), state.log_evidence))
+        estimates.append(estimate(state, config))
+        if progress is not None:
+            progress(done + 1, len(measurements.epochs))
+    settings = {"slam": asdict(config), "measurements": dict(measurements.settings)}
+    return _collect(measurements, state, estimates, states, (method, engine, seed), settings)
+
+
+def _collect(
+    measurements: MeasurementSet,
+    state: GaussianState,
+    estimates: list[Estimate],
+    states: list[tuple[int, float]],
+    label: tuple[str, str, int],
+    settings: dict[str, Any],
+) -> SlamResult:
+    """Stack the epochs' estimates into arrays."""
+    epochs, anchors = len(estimates), len(state.anchor_names)
+    ids = np.unique(np.concatenate([[], *(e.wall_id for e in estimates)])).astype(np.int64)
+    wall_valid = np.zeros((epochs, ids.size), dtype=bool)
+    wall_mean = np.full((epochs, ids.size, 2), np.nan)
+    wall_covariance = np.full((epochs, ids.size, 2, 2), np.nan)
+    for t, e in enumerate(estimates):
+        columns = np.searchsorted(ids, e.wall_id)
+        wall_valid[t, columns] = True
+        wall_mean[t, columns], wall_covariance[t, columns] = e.wall_mean_m, e.wall_covariance_m2
+    method, engine, seed = label
+    return SlamResult(
+        method=method,
+        engine=engine,
+        seed=seed,
+        anchors=measurements.anchors,
+        epoch=np.array([epoch.index for epoch in measurements.epochs], dtype=np.int64),
+        time_s=np.array([epoch.time_s for epoch in measurements.epochs], dtype=np.float64),
+        agent_mean=np.array([e.agent_mean for e in estimates]).reshape(epochs, 4),
+        agent_covariance=np.array([e.agent_covariance for e in estimates]).reshape(epochs, 4, 4),
+        rotation_std_rad=np.array([e.rotation_std_rad for e in estimates]),
+        anchor_valid=np.array([e.anchor_valid for e in estimates], dtype=bool).reshape(epochs, anchors),
+        anchor_mean_m=np.array([e.anchor_mean_m for e in estimates]).reshape(epochs, anchors, 2),
+        anchor_covariance_m2=np.array([e.anchor_covariance_m2 for e in estimates]).reshape(
+            epochs, anchors, 2, 2
+        ),
+        wall_id=ids,
+        wall_valid=wall_valid,
+        wall_mean_m=wall_mean,
+        wall_covariance_m2=wall_covariance,
+        hypotheses=np.array([count for count, _ in states], dtype=np.int64),
+        log_evidence=np.array([evidence for _, evidence in states], dtype=np.float64),
+        settings=settings,
+        dataset=measurements.dataset,
+    )

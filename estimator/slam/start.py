@@ -1,0 +1,126 @@
+"""The state before the first epoch, from the walls sensed at the start.
+
+The reference wall (the one whose bearing is known best) defines the gauge frame
+(:mod:`estimator.slam.layout`): its bearing error becomes the state ``theta``, the
+rotation of the whole map about RP, which passive measurements cannot see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import InputError
+from estimator.geometry import rotation_matrix
+from estimator.measurements import GaussianVrp
+from estimator.slam.config import GaussianConfig
+from estimator.slam.layout import Layout
+from estimator.slam.slots import fresh_visibility
+from estimator.slam.state import NOWHERE_M, GaussianState, Rows, Slots
+
+__all__ = ["start"]
+
+Array = NDArray[np.float64]
+
+
+def start(
+    walls: Sequence[GaussianVrp], anchor_names: Sequence[str], carrier_hz: float, config: GaussianConfig
+) -> GaussianState:
+    """The state before the first epoch.
+
+    Parameters
+    ----------
+    walls : sequence of GaussianVrp
+        Walls sensed at the start, estimator's frame; at least one, for it fixes the
+        direction of the map.
+    anchor_names : sequence of str
+        The anchors that epochs will report on, in order.
+    carrier_hz : float
+        Carrier frequency, hertz.
+    config : GaussianConfig
+        Models.
+
+    Returns
+    -------
+    GaussianState
+
+    Raises
+    ------
+    InputError
+        If no wall or no anchor is given.
+    """
+    if not walls or not anchor_names:
+        raise InputError(
+            "hybrid SLAM: expected at least one wall sensed at the start and one anchor, "
+            f"got {len(walls)} walls and {len(anchor_names)} anchors"
+        )
+    walls = sorted(walls, key=_bearing_std)
+    layout = Layout(len(anchor_names), len(walls))
+    reference = walls[0].mean_m
+    bearing = float(np.arctan2(reference[1], reference[0]))
+    to_gauge = rotation_matrix(-bearing)
+    vrps = np.array([wall.mean_m for wall in walls]) @ to_gauge.T
+    vrps[0, 1] = 0.0
+
+    mean = np.zeros(layout.size)
+    mean[layout.walls] = vrps.ravel()
+    covariance = _wall_prior(walls, vrps, to_gauge, layout)
+    covariance[2:4, 2:4] = config.velocity_std_m_s**2 * np.eye(2)
+    for k in range(layout.anchors):
+        place = layout.anchor(k)
+        mean[place] = NOWHERE_M, 0.0, config.height2_mean_m2
+        covariance[place.stop - 1, place.stop - 1] = config.height2_std_m2**2
+
+    count = len(walls)
+    rows = Rows(
+        log_weight=np.zeros(1),
+        mean=mean[None],
+        covariance=covariance[None],
+        located=np.zeros((1, layout.anchors), dtype=bool),
+        present=np.ones((1, count), dtype=bool),
+        visibility=np.tile(fresh_visibility(layout), (1, layout.anchors, 1)),
+        support=np.zeros((1, count), dtype=np.int64),
+    )
+    slots = Slots(np.arange(count), np.full(count, -1), np.ones(count, dtype=bool), np.zeros((count, 2)))
+    return GaussianState(
+        anchor_names=tuple(anchor_names),
+        carrier_hz=float(carrier_hz),
+        bearing_rad=bearing,
+        epoch=-1,
+        time_s=0.0,
+        log_evidence=0.0,
+        next_wall_id=count,
+        rows=rows,
+        slots=slots,
+        trail=np.empty((0, 4)),
+        loose=np.empty((0, 5)),
+    )
+
+
+def _bearing_std(wall: GaussianVrp) -> float:
+    """Standard deviation of a VRP's bearing, radians."""
+    square = float(wall.mean_m @ wall.mean_m)
+    tangent = np.array([-wall.mean_m[1], wall.mean_m[0]]) / np.sqrt(square)
+    return float(np.sqrt(tangent @ wall.covariance_m2 @ tangent / square))
+
+
+def _wall_prior(walls: Sequence[GaussianVrp], vrps: Array, to_gauge: Array, layout: Layout) -> Array:
+    """Covariance (n, n) of theta and the VRPs in the gauge frame.
+
+    An error of the reference wall's bearing turns all the others the other way.
+    """
+    count = len(walls)
+    errors = np.zeros((2 * count, 2 * count))
+    for i, wall in enumerate(walls):
+        errors[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = to_gauge @ wall.covariance_m2 @ to_gauge.T
+    linear = np.zeros((layout.size, 2 * count))
+    linear[layout.THETA, 1] = 1.0 / vrps[0, 0]
+    for i in range(count):
+        rows = layout.wall(i)
+        linear[rows, 2 * i : 2 * i + 2] += np.eye(2)
+        quarter_turn = np.array([-vrps[i, 1], vrps[i, 0]])
+        linear[rows, :] -= np.outer(quarter_turn, linear[layout.THETA])
+    linear[layout.wall(0).start + 1] = 0.0
+    return np.asarray(linear @ errors @ linear.T)
