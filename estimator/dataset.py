@@ -31,8 +31,10 @@ __all__ = [
     "Dataset",
     "DatasetWriter",
     "open_dataset",
+    "publish",
     "read_netcdf",
     "require_absent",
+    "temporary_name",
     "write_netcdf",
     "write_text",
 ]
@@ -57,7 +59,7 @@ def _sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def _publish(temporary: Path, path: Path) -> None:
+def publish(temporary: Path, path: Path) -> None:
     """Sync ``temporary``, rename it to ``path``, sync the folder."""
     handle = os.open(temporary, os.O_RDONLY)
     try:
@@ -68,16 +70,17 @@ def _publish(temporary: Path, path: Path) -> None:
     _sync_folder(path.parent)
 
 
-def _temporary(path: Path) -> Path:
+def temporary_name(path: Path) -> Path:
+    """Name beside ``path``, of this process alone, to write under before :func:`publish`."""
     return path.with_name(f".{path.name}.{os.getpid()}.tmp")
 
 
 def write_text(text: str, path: Path) -> None:
     """Write a small text file atomically, replacing what was there."""
-    temporary = _temporary(path)
+    temporary = temporary_name(path)
     try:
         temporary.write_text(text, encoding="utf-8")
-        _publish(temporary, path)
+        publish(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -96,10 +99,10 @@ def write_netcdf(data: xr.Dataset, path: Path) -> None:
     require_absent(path)
     if not path.parent.is_dir():
         raise FileFormatError(f"{path}: expected an existing folder {path.parent}, there is none")
-    temporary = _temporary(path)
+    temporary = temporary_name(path)
     try:
         data.to_netcdf(temporary, engine="h5netcdf")
-        _publish(temporary, path)
+        publish(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
