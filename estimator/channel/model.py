@@ -181,7 +181,8 @@ class ToneCorrelator:
         """
         inner = np.exp(self._inner[:, None] * turns[:, None, :])
         outer = np.exp(self._outer[:, None] * turns[:, None, :])
-        partial = (blocks.values @ inner).reshape(len(turns), 3, self._blocks, -1)
+        shape = (len(turns), 3, self._blocks, turns.shape[1])
+        partial = (blocks.values @ inner).reshape(shape)
         sums = np.einsum("cmpk,cpk->mck", partial, outer)
         return sums[0], sums[1], sums[2]
 
@@ -201,4 +202,5 @@ class ToneCorrelator:
         """
         outer = np.exp(-self._outer[:, None] * turns[:, None, :]) * gain[:, None, :]
         inner = np.exp(-self._inner * turns[:, :, None])
-        return np.asarray((outer @ inner).reshape(len(turns), -1)[:, : self.tones])
+        padded = (outer @ inner).reshape(len(turns), self._blocks * _BLOCK)
+        return np.asarray(padded[:, : self.tones])
