@@ -132,8 +132,8 @@ def images_of_agent(
     return Centres(
         np.concatenate([position[None], first, second]),
         np.concatenate([own[None], covariance, covariance[near] + wall_covariance[far]]),
-        np.repeat([0, 1, 2], [1, count, l.size]),
-        np.full(1 + count + l.size, epoch),
+        np.repeat([0, 1, 2], [1, count, near.size]),
+        np.full(1 + count + near.size, epoch),
         np.concatenate([none, slots, slots[near]]),
         np.concatenate([none, np.full(count, -1), slots[far]]),
     )

@@ -104,6 +104,7 @@ def _correct(state: GaussianState, paths: PathTable, config: GaussianConfig) -> 
         state.layout,
         config,
     )
+    rows = rows.take(done.parent)
     weight = rows.log_weight + done.log_evidence
     evidence = float(logsumexp(weight))
     heard = np.any(done.heard[:, :, 1 : 1 + state.layout.slots] > 0.5, axis=1)

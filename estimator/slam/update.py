@@ -22,6 +22,9 @@ __all__ = ["Correction", "correct", "kalman", "predicted_variance"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_SURE = 0.98  # association probability beyond doubt
+_APART = 0.7  # a row splits if the alternatives move it by more than this many standard deviations
+_CERTAIN = 1e12
 _LOG_2PI = float(np.log(2.0 * np.pi))
 
 
@@ -31,6 +34,8 @@ class Correction:
 
     Parameters
     ----------
+    parent : ndarray of int64, shape (R,)
+        The row of the input that each row of the output comes from.
     mean, covariance : ndarray, shapes (R, n) and (R, n, n)
         Corrected Gaussians.
     visibility : ndarray, shape (R, K, F)
@@ -43,6 +48,7 @@ class Correction:
         Log evidence of the epoch over "all is clutter".
     """
 
+    parent: NDArray[np.int64]
     mean: Array
     covariance: Array
     visibility: Array
@@ -132,10 +138,8 @@ def correct(
     chance = np.where(active, visibility * config.detection_probability, 0.0)
     ratio, _, innovation = _ratios(prediction, covariance, chance, length_m, variance, valid, layout, config)
 
-    # first pass: one measurement in the gate, in no other gate, and far likelier than chance
-    near = ratio > 0.0
-    alone = near & (near.sum(axis=-1, keepdims=True) == 1) & (near.sum(axis=-2, keepdims=True) == 1)
-    sure = alone & (ratio > 20.0)
+    # first pass: what belief propagation does not doubt
+    sure = associate(ratio).probability > _SURE
     taken = sure.any(axis=-1)  # (R, K, F)
     chosen = np.argmax(sure, axis=-1)
     first = np.take_along_axis(innovation, chosen[..., None], axis=-1)[..., 0]
@@ -155,13 +159,23 @@ def correct(
     ratio = np.where(used[:, :, None, :], 0.0, ratio)
     association = associate(ratio)
     log_evidence = log_evidence + np.sum(association.log_evidence + np.sum(np.log1p(-rest), axis=-1), axis=-1)
-    share = association.probability  # (R, K, F, M)
+    parent, ratio, log_share = _split(association.probability, ratio, innovation, spread, variance)
+    mean, covariance, visibility, active = (
+        mean[parent],
+        covariance[parent],
+        visibility[parent],
+        active[parent],
+    )
+    log_evidence, spread, innovation = log_evidence[parent] + log_share, spread[parent], innovation[parent]
+    taken, used, jacobian = taken[parent], used[parent], prediction.jacobian[parent]
+    share = associate(ratio).probability  # (R, K, F, M)
     heard = share.sum(axis=-1)
     weight = np.maximum(heard, 1e-12)
     expected = np.sum(share * innovation, axis=-1) / weight
     second = np.sum(share * (innovation**2 + variance[:, None, :]), axis=-1) / weight - expected**2
-    soft = (heard > 0.05) & (spread < config.pair_std_m**2)
-    mean, covariance, _ = _take(mean, covariance, prediction.jacobian, expected, second / weight, soft)
+    soft = heard > 0.05
+    soft[..., 1 + layout.slots :] &= spread[..., 1 + layout.slots :] < config.pair_std_m**2
+    mean, covariance, _ = _take(mean, covariance, jacobian, expected, second / weight, soft)
 
     heard = np.where(taken, 1.0, heard)
     seen = (
@@ -169,7 +183,50 @@ def correct(
     )
     visibility = np.where(active, heard + (1.0 - heard) * seen, visibility)
     explained = np.where(used, 1.0, share.sum(axis=-2))
-    return Correction(mean, covariance, visibility, heard, explained, log_evidence)
+    return Correction(parent, mean, covariance, visibility, heard, explained, log_evidence)
+
+
+def _split(
+    share: Array, ratio: Array, innovation: Array, spread: Array, variance: Array
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Split rows whose most harmful doubt would blur them, one feature each.
+
+    A feature whose alternatives (its measurements, or none) would move the state far
+    apart, against the uncertainty that each would leave, is decided both ways: one row
+    per alternative, in which the others are forbidden.
+
+    Returns
+    -------
+    parent : ndarray of int64, shape (S,)
+        Row that each new row comes from.
+    ratio : ndarray, shape (S, K, F, M)
+        Association ratios of the new rows.
+    log_share : ndarray, shape (S,)
+        Log probability of the alternative.
+    """
+    noise = variance[:, None, :]
+    s = spread[..., None] + noise
+    shift = spread[..., None] / s * innovation
+    first = np.sum(share * shift, axis=-1)
+    scatter = np.sum(share * shift**2, axis=-1) - first**2
+    left = np.maximum(np.min(spread[..., None] * noise / s, axis=-1), 1e-8)
+    harm = (scatter / left).reshape(len(share), -1)
+    worst = np.argmax(harm, axis=1)
+    parent, ratios, log_share = [], [], []
+    for r in range(len(share)):
+        k, f = np.unravel_index(worst[r], spread.shape[1:])
+        if harm[r, worst[r]] < _APART**2:
+            parent.append(r), ratios.append(ratio[r]), log_share.append(0.0)
+            continue
+        chances = np.append(share[r, k, f], max(1.0 - share[r, k, f].sum(), 0.0))
+        for j in np.flatnonzero(chances > 0.01):
+            decided = ratio[r].copy()
+            decided[k, f] = 0.0
+            if j < share.shape[-1]:
+                decided[k, :, j] = 0.0
+                decided[k, f, j] = _CERTAIN
+            parent.append(r), ratios.append(decided), log_share.append(np.log(chances[j]))
+    return np.array(parent), np.array(ratios), np.array(log_share)
 
 
 def _ratios(

@@ -1,0 +1,80 @@
+"""The state before the first epoch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimator.errors import InputError
+from estimator.measurements import GaussianVrp
+from estimator.slam import GaussianConfig, start
+from estimator.slam.estimate import estimate
+
+
+def walls_of(rng=None, turn=0.0):
+    """Three walls, perturbed by draws of their own covariance if a generator is given."""
+    means = np.array([[30.0, 4.0], [-6.0, 40.0], [-80.0, -3.0]])
+    c, s = np.cos(turn), np.sin(turn)
+    rotation = np.array([[c, -s], [s, c]])
+    roots = [np.array([[0.2, 0.0], [0.1, 0.3]]), 0.3 * np.eye(2), np.array([[0.5, 0.1], [0.0, 0.2]])]
+    result = []
+    for mean, root in zip(means, roots, strict=True):
+        noise = root @ rng.normal(size=2) if rng is not None else 0.0
+        result.append(GaussianVrp(rotation @ (mean + noise), rotation @ root @ root.T @ rotation.T))
+    return result
+
+
+def test_the_walls_come_back():
+    """Turned back to the estimator's frame, the start has the walls it was given."""
+    config = GaussianConfig()
+    state = start(walls_of(), ("a",), 28e9, config)
+    found = estimate(state, config)
+    for wall in walls_of():
+        j = int(np.argmin(np.linalg.norm(found.wall_mean_m - wall.mean_m, axis=1)))
+        assert np.allclose(found.wall_mean_m[j], wall.mean_m, atol=1e-9)
+        assert np.allclose(found.wall_covariance_m2[j], wall.covariance_m2, atol=1e-9)
+    assert np.all(found.agent_mean == 0.0)
+    assert not found.anchor_valid.any()
+
+
+def test_gauge_covariance_is_that_of_sampled_walls():
+    """Theta and the VRPs in the gauge frame have the covariance of 20,000 sampled starts."""
+    rng = np.random.default_rng(7)
+    config = GaussianConfig()
+    state = start(walls_of(), ("a",), 28e9, config)
+    layout, draws = state.layout, 20_000
+    order = [
+        int(np.argmin(np.abs(np.hypot(*state.rows.mean[0, layout.wall(i)]) - np.hypot(*w.mean_m))))
+        for i, w in enumerate(walls_of())
+    ]
+    samples = np.empty((draws, 1 + 2 * 3))
+    for n in range(draws):
+        means = [wall.mean_m for wall in walls_of(rng)]
+        slots = sorted(range(3), key=lambda i: order[i])
+        bearing = np.arctan2(means[slots[0]][1], means[slots[0]][0])
+        theta = bearing - state.bearing_rad
+        c, s = np.cos(-bearing), np.sin(-bearing)
+        samples[n, 0] = theta
+        samples[n, 1:] = np.concatenate([np.array([[c, -s], [s, c]]) @ means[i] for i in slots])
+    index = [layout.THETA, *range(layout.walls.start, layout.walls.stop)]
+    claimed = state.rows.covariance[0][np.ix_(index, index)]
+    sampled = np.cov(samples.T)
+    scale = np.sqrt(np.outer(np.diag(claimed), np.diag(claimed))) + 1e-9
+    assert np.abs((sampled - claimed) / scale).max() < 5.0 / np.sqrt(draws) + 0.01  # 0.01: curvature
+
+
+def test_the_reference_wall_has_no_free_bearing():
+    """The gauge frame's x axis points at the reference wall, without uncertainty across."""
+    state = start(walls_of(), ("a", "b"), 28e9, GaussianConfig())
+    across = state.layout.wall(0).start + 1
+    assert state.rows.mean[0, across] == 0.0
+    assert np.all(state.rows.covariance[0, across] == 0.0)
+    assert np.all(state.rows.covariance[0, :, across] == 0.0)
+
+
+def test_a_start_needs_walls_and_anchors():
+    """Without a wall or an anchor there is an error that says so."""
+    with pytest.raises(InputError, match="expected at least one wall .* got 0 walls and 1 anchors"):
+        start([], ("a",), 28e9, GaussianConfig())
+    with pytest.raises(InputError, match="got 3 walls and 0 anchors"):
+        start(walls_of(), (), 28e9, GaussianConfig())
