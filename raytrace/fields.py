@@ -66,9 +66,11 @@ def specular_amplitude(
 
 
 def _vertical(directions: Array) -> Array:
-    """Unit vectors of vertical polarisation, normal to the directions (n, 3)."""
+    """Unit vectors of vertical polarisation, normal to the directions (n, 3); x where these are vertical."""
     up = np.array([0.0, 0.0, 1.0]) - directions[:, 2:] * directions
-    return np.asarray(up / np.linalg.norm(up, axis=-1, keepdims=True))
+    size = np.linalg.norm(up, axis=-1, keepdims=True)
+    upright = size < 1e-9
+    return np.asarray(np.where(upright, np.array([1.0, 0.0, 0.0]), up / np.where(upright, 1.0, size)))
 
 
 def _reflect(

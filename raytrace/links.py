@@ -100,8 +100,9 @@ class Echo(_Signal):
     """The active link: the agent sweeps its beams and listens to its own echo.
 
     ``physical`` traces specular returns to ``depth`` bounces and, off materials that
-    scatter, diffuse ones; ``radar-equation`` is the paper's (7) on traced hits, with
-    radar cross section ``gamma cos^(2 eta)`` of the angle of incidence.
+    scatter, diffuse ones from ``diffuse_samples`` rays; ``radar-equation`` is the
+    paper's (7) on traced hits, with radar cross section ``gamma cos^(2 eta)`` of the
+    angle of incidence, on ``fan_rays`` rays all around (0: pencil beams, as the paper).
     """
 
     symbols: Count = 14
@@ -111,6 +112,8 @@ class Echo(_Signal):
     separation_m: Annotated[float, Field(gt=0.0, le=0.5)] = 0.05
     gamma: Positive = 1.0
     eta: NonNegative = 0.2
+    fan_rays: Annotated[int, Field(ge=0, le=100_000)] = 1440
+    diffuse_samples: Annotated[int, Field(ge=100, le=1_000_000)] = 20_000
     beams: Beams = Beams()
     sweep_epochs: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1, strict=False)] = (0,)
 

@@ -1,17 +1,18 @@
-"""Specular paths from every anchor to the agent along its whole track.
+"""Specular paths, complete: the solver's, checked against the image method.
 
-The track is the receive array of one solver call, in batches of a fixed width, so
-that neither a position nor a track's length compiles a kernel. In a large batch the
-solver drops a few paths of two and more bounces: it recognises known candidates by a
-hash, and hashes collide. The image method says what there should be; positions that
-miss something are traced again, repeated until they fill a batch, which gives every
-path several other hashes, then with more rays. Paths that bounce within a millimetre
-of a corner are not expected: there the tracer's single precision decides.
+The agent's track is the receive array of one solver call, in batches of a fixed
+width, so that neither a position nor a track's length compiles a kernel. In a large
+batch the solver drops a few paths of two and more bounces: it recognises candidates
+that it has seen by a hash, and hashes collide. The image method says what there should
+be; positions that miss something are traced again, repeated until they fill a batch,
+which gives every path several other hashes, then with more rays. Paths that bounce
+within a millimetre of a corner are not expected: there the tracer's single precision
+decides.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +23,14 @@ from raytrace.paths import PathList, PathSet
 from raytrace.scene import RadioScene, build_scene
 from raytrace.solver import solve
 
-__all__ = ["TraceReport", "trace_passive"]
+__all__ = ["TraceReport", "trace_passive", "trace_specular"]
 
-BATCH = 256
+_BATCH = 256
 _RIM_M = 1e-3
 # Rays of the repeated attempts, as multiples of the plan's.
 _RETRIES = (1, 1, 4, 16)
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -53,11 +56,13 @@ class TraceReport:
     extra: int
     retraced: int
 
+    def as_dict(self) -> dict[str, int]:
+        """The counts by name."""
+        return asdict(self)
 
-def trace_passive(
-    plan: FloorPlan, radio: RadioScene | None = None, positions_m: NDArray[np.float64] | None = None
-) -> tuple[PathSet, TraceReport]:
-    """Trace the specular paths of a plan.
+
+def trace_passive(plan: FloorPlan, radio: RadioScene | None = None) -> tuple[PathSet, TraceReport]:
+    """Trace the specular paths from every anchor along the agent's track.
 
     Parameters
     ----------
@@ -65,13 +70,11 @@ def trace_passive(
         The plan; ``plan.tracing`` says how deep and with how many rays.
     radio : RadioScene, optional
         Its scene at the carrier of ``plan.radio``; by default it is built.
-    positions_m : ndarray, shape (n, 3), optional
-        Positions of the agent, metres; by default the plan's track.
 
     Returns
     -------
     paths : PathSet
-        Axes (n, anchors, path): absolute delays, plan frame.
+        Axes (epochs, anchors, path): absolute delays, plan frame.
     report : TraceReport
         What was lost, if anything.
 
@@ -81,23 +84,32 @@ def trace_passive(
         If the ray tracer cannot run on this machine.
     """
     radio = build_scene(plan, plan.radio.carrier_hz) if radio is None else radio
-    positions = plan.track() if positions_m is None else positions_m
-    wanted = set(image_paths(plan, positions, rim_m=_RIM_M).flat().keys())
+    return trace_specular(plan, radio, plan.anchors_m(), plan.track(), plan.tracing.depth)
 
-    paths = _trace(plan, radio, positions, np.arange(len(positions)), plan.tracing.samples)
+
+def trace_specular(
+    plan: FloorPlan, radio: RadioScene, sources_m: Array, positions_m: Array, depth: int
+) -> tuple[PathSet, TraceReport]:
+    """Trace the specular paths from sources (k, 3) to positions (n, 3), metres; as :func:`trace_passive`."""
+    exact = image_paths(plan, positions_m, depth, sources_m, rim_m=_RIM_M)
+    wanted = set(exact.flat().keys())
+
+    def trace(epochs: NDArray[np.int64], samples: int) -> PathList:
+        return _trace(radio, sources_m, positions_m, epochs, depth, samples)
+
+    paths = trace(np.arange(len(positions_m)), plan.tracing.samples)
     retraced = 0
     for attempt, more in enumerate(_RETRIES):
         missing = sorted({key[0] for key in wanted.difference(paths.keys())})
         if not missing:
             break
         retraced += len(missing)
-        epochs = np.roll(missing, attempt)
-        again = _trace(plan, radio, positions, epochs, more * plan.tracing.samples)
+        again = trace(np.roll(missing, attempt), more * plan.tracing.samples)
         paths = _distinct(PathList.concatenate([paths, again]))
 
     traced = set(paths.keys())
     if traced - wanted:
-        wanted |= traced & set(image_paths(plan, positions).flat().keys())
+        wanted |= traced & set(image_paths(plan, positions_m, depth, sources_m).flat().keys())
     report = TraceReport(
         expected=len(wanted),
         found=len(wanted & traced),
@@ -105,21 +117,22 @@ def trace_passive(
         extra=len(traced - wanted),
         retraced=retraced,
     )
-    return PathSet.build(paths, len(positions), len(plan.anchors)), report
+    return PathSet.build(paths, len(positions_m), len(sources_m)), report
 
 
 def _trace(
-    plan: FloorPlan,
     radio: RadioScene,
-    positions: NDArray[np.float64],
+    sources: Array,
+    positions: Array,
     epochs: NDArray[np.int64],
+    depth: int,
     samples: int,
 ) -> PathList:
     """Paths to the given epochs, in full batches: the last is filled by repeating epochs."""
-    filled = np.resize(epochs, -(-len(epochs) // BATCH) * BATCH)
+    filled = np.resize(epochs, -(-len(epochs) // _BATCH) * _BATCH)
     parts = []
-    for batch in filled.reshape(-1, BATCH):
-        traced = solve(radio, plan.anchors_m(), positions[batch], depth=plan.tracing.depth, samples=samples)
+    for batch in filled.reshape(-1, _BATCH):
+        traced = solve(radio, sources, positions[batch], depth=depth, samples=samples)
         parts.append(traced.with_epochs(batch[traced.epoch]))
     return _distinct(PathList.concatenate(parts))
 

@@ -73,13 +73,19 @@ class PathList:
 
     @staticmethod
     def concatenate(parts: list[PathList]) -> PathList:
-        """The paths of all ``parts``, one list after the other."""
-        return PathList(
-            **{
-                field.name: np.concatenate([getattr(part, field.name) for part in parts])
-                for field in fields(PathList)
-            }
-        )
+        """The paths of all ``parts``, one list after the other; the most bounces set the width."""
+        columns = {
+            field.name: np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(PathList)
+            if field.name != "walls"
+        }
+        bounces = max(part.walls.shape[1] for part in parts)
+        walls = np.full((len(columns["epoch"]), bounces), NO_SURFACE, dtype=np.int16)
+        row = 0
+        for part in parts:
+            walls[row : row + len(part), : part.walls.shape[1]] = part.walls
+            row += len(part)
+        return PathList(**columns, walls=walls)
 
     def keys(self) -> Iterator[tuple[int, ...]]:
         """What identifies a specular path: (epoch, anchor, walls...)."""

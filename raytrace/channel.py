@@ -1,0 +1,91 @@
+"""From paths to channel frequency responses on an OFDM grid, and thermal noise.
+
+    H(f) = sum_m a_m s(direction_m) exp(-j 2 pi f tau_m),
+
+``f`` the tone's offset from the carrier, ``a_m`` the amplitude with its carrier
+phase, ``s`` the response of the receiving array. Delays are absolute: nothing is
+shifted to make the first path arrive at zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimator.arrays import UniformLinearArray
+from estimator.waveform import OfdmGrid
+from raytrace.paths import PathSet
+
+__all__ = ["add_noise", "channel_response", "superpose"]
+
+
+def superpose(
+    weights: NDArray[np.complex128], delay_s: NDArray[np.float64], grid: OfdmGrid
+) -> NDArray[np.complex128]:
+    """Sum weighted delays on the tones of a grid.
+
+    A tone's index is ``q i + j``; its phase is a product of a factor for ``i`` and one
+    for ``j``. So the sum over paths is a product of two small matrices, about
+    ``tones / (2 sqrt(tones))`` times cheaper in exponentials than tone by tone.
+
+    Parameters
+    ----------
+    weights : ndarray of complex128, shape (..., signals, paths)
+        What each path adds to each signal (antenna or beam), at the carrier.
+    delay_s : ndarray of float64, shape (..., paths)
+        Delays, seconds; leading axes as those of ``weights``.
+    grid : OfdmGrid
+        The tones.
+
+    Returns
+    -------
+    ndarray of complex128, shape (..., signals, tones)
+    """
+    fine_count = int(np.ceil(np.sqrt(grid.tones)))
+    coarse_count = -(-grid.tones // fine_count)
+    first_hz = grid.offsets_hz()[0]
+    coarse_hz = first_hz + np.arange(coarse_count) * fine_count * grid.tone_spacing_hz
+    fine_hz = np.arange(fine_count) * grid.tone_spacing_hz
+    delay = np.asarray(delay_s, dtype=np.float64)[..., None, :, None]
+    coarse = np.exp(-2j * np.pi * delay * coarse_hz)  # (..., 1, paths, coarse)
+    fine = np.exp(-2j * np.pi * delay * fine_hz)  # (..., 1, paths, fine)
+    weighted = weights[..., None] * coarse  # (..., signals, paths, coarse)
+    tones = np.swapaxes(weighted, -1, -2) @ fine  # (..., signals, coarse, fine)
+    return np.asarray(tones.reshape(*tones.shape[:-2], -1)[..., : grid.tones])
+
+
+def channel_response(
+    paths: PathSet, grid: OfdmGrid, array: UniformLinearArray | None = None, heading_rad: float = 0.0
+) -> NDArray[np.complex128]:
+    """Noiseless channel of every link.
+
+    Parameters
+    ----------
+    paths : PathSet
+        Axes (epoch, anchor, path), angles in the plan frame.
+    grid : OfdmGrid
+        The tones.
+    array : UniformLinearArray, optional
+        The agent's array, in its frame; by default one antenna.
+    heading_rad : float
+        Azimuth of the agent's frame in the plan, radians.
+
+    Returns
+    -------
+    ndarray of complex128, shape (epochs, anchors, antennas, tones)
+        Channel gains (dimensionless).
+    """
+    array = UniformLinearArray() if array is None else array
+    filled = paths.valid
+    azimuth = np.where(filled, paths.arrival_azimuth_rad - heading_rad, 0.0)
+    elevation = np.where(filled, paths.arrival_elevation_rad, 0.0)
+    steering = np.swapaxes(array.steering(azimuth, elevation), -1, -2)  # (..., antenna, path)
+    weights = steering * np.where(filled, paths.amplitude, 0.0)[..., None, :]
+    return superpose(weights, np.where(filled, paths.delay_s, 0.0), grid)
+
+
+def add_noise(response: ArrayLike, variance: float, rng: np.random.Generator) -> NDArray[np.complex128]:
+    """A response plus circular complex Gaussian noise of a variance per entry, same shape."""
+    clean = np.asarray(response, dtype=np.complex128)
+    noise = rng.standard_normal((*clean.shape, 2)) * np.sqrt(0.5 * variance)
+    return clean + noise[..., 0] + 1j * noise[..., 1]

@@ -1,0 +1,119 @@
+"""The active link: what the agent hears of its own beams.
+
+Two models, chosen by the plan. ``physical``: the path solver's specular returns (the
+flash off a wall at normal incidence, and returns over corners), plus diffuse ones where
+materials scatter. ``radar-equation``: the paper's (7) on traced hits. Transmitter
+and receiver stand a few centimetres apart, one above the other, so that no
+direction in the horizontal plane is preferred.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raytrace.channel import superpose
+from raytrace.floorplan import FloorPlan
+from raytrace.passive import TraceReport, trace_specular
+from raytrace.paths import PathList
+from raytrace.radar_equation import radar_sweep
+from raytrace.scene import RadioScene, build_scene
+from raytrace.solver import solve
+
+__all__ = ["EchoSweep", "sweep_echo"]
+
+# Paths summed at a time: bounds the memory of the sum over beams and tones.
+_CHUNK = 2048
+
+
+@dataclass(frozen=True, eq=False)
+class EchoSweep:
+    """Noiseless responses of all beams, one sweep after the other.
+
+    Parameters
+    ----------
+    epochs : tuple of int
+        When each sweep took place.
+    response : ndarray of complex128, shape (sweeps, beams, tones)
+        Response of each beam, sending and receiving (dimensionless).
+    specular : int
+        Specular returns in all sweeps.
+    diffuse : int
+        Diffuse returns in all sweeps.
+    report : TraceReport or None
+        How the specular returns compare with the image method (physical model).
+    """
+
+    epochs: tuple[int, ...]
+    response: NDArray[np.complex128]
+    specular: int
+    diffuse: int
+    report: TraceReport | None
+
+
+def sweep_echo(plan: FloorPlan, radio: RadioScene | None = None) -> EchoSweep:
+    """Sweep the agent's beams at the epochs that the plan names.
+
+    Parameters
+    ----------
+    plan : FloorPlan
+        The plan; ``plan.echo`` is the link.
+    radio : RadioScene, optional
+        Its scene at the carrier of ``plan.echo``; by default it is built.
+
+    Raises
+    ------
+    BackendError
+        If the ray tracer cannot run on this machine.
+    """
+    radio = build_scene(plan, plan.echo.carrier_hz) if radio is None else radio
+    places = plan.track()[list(plan.echo.sweep_epochs)]
+    if plan.echo.model == "radar-equation":
+        responses = [radar_sweep(plan, radio, place) for place in places]
+        return EchoSweep(plan.echo.sweep_epochs, np.stack(responses), 0, 0, None)
+    return _physical(plan, radio, places)
+
+
+def _physical(plan: FloorPlan, radio: RadioScene, places: NDArray[np.float64]) -> EchoSweep:
+    half = np.array([0.0, 0.0, 0.5 * plan.echo.separation_m])
+    responses, reports, specular, diffuse = [], [], 0, 0
+    for place in places:
+        sender, receiver = (place + half)[None], (place - half)[None]
+        paths, report = trace_specular(plan, radio, sender, receiver, plan.echo.depth)
+        returns = paths.flat()
+        returns = returns.select(returns.order > 0)
+        reports.append(report)
+        specular += len(returns)
+        if plan.scatters:
+            scattered = solve(
+                radio,
+                sender,
+                receiver,
+                depth=1,
+                samples=plan.echo.diffuse_samples,
+                los=False,
+                diffuse=True,
+                paths_per_source=plan.echo.diffuse_samples,
+            )
+            diffuse += len(scattered)
+            returns = PathList.concatenate([returns, scattered])
+        responses.append(_beams(plan, returns.canonical()))
+    total = TraceReport(
+        *(sum(values) for values in zip(*(r.as_dict().values() for r in reports), strict=True))
+    )
+    return EchoSweep(plan.echo.sweep_epochs, np.stack(responses), specular, diffuse, total)
+
+
+def _beams(plan: FloorPlan, paths: PathList) -> NDArray[np.complex128]:
+    """Both directions of every path through every beam, summed on the tones, (beams, tones)."""
+    beams, grid = plan.echo.beams.beam_set(), plan.echo.grid()
+    response = np.zeros((beams.beams, grid.tones), dtype=np.complex128)
+    heading = plan.agent.heading_rad
+    for start in range(0, len(paths), _CHUNK):
+        part = paths.select(np.arange(start, min(start + _CHUNK, len(paths))))
+        sent = beams.one_way(part.departure_azimuth_rad - heading, part.departure_elevation_rad)
+        heard = beams.one_way(part.arrival_azimuth_rad - heading, part.arrival_elevation_rad)
+        response += superpose((sent * heard * part.amplitude[:, None]).T, part.delay_s, grid)
+    return response

@@ -1,0 +1,63 @@
+"""What rough surfaces add to the passive channels: single diffuse reflections.
+
+Rays are shot evenly from every anchor; where one meets a surface that scatters, a
+share of its power goes to every position of the agent that sees the place. The
+places are the same for the whole track, as those of a real wall are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raytrace.channel import channel_response
+from raytrace.floorplan import FloorPlan
+from raytrace.paths import PathSet
+from raytrace.scene import RadioScene
+from raytrace.solver import solve
+
+__all__ = ["diffuse_response"]
+
+# Positions traced and summed at a time: bounds the memory of the sum over paths and tones.
+_BATCH = 32
+
+
+def diffuse_response(plan: FloorPlan, radio: RadioScene) -> tuple[NDArray[np.complex128], int]:
+    """Noiseless diffuse part of every passive link.
+
+    Parameters
+    ----------
+    plan : FloorPlan
+        The plan; ``tracing.diffuse_samples`` rays leave each anchor.
+    radio : RadioScene
+        Its scene at the carrier of ``plan.radio``.
+
+    Returns
+    -------
+    response : ndarray of complex128, shape (epochs, anchors, antennas, tones)
+        Channel gains (dimensionless).
+    paths : int
+        Number of diffuse paths in it.
+    """
+    positions, anchors = plan.track(), plan.anchors_m()
+    rays = plan.tracing.diffuse_samples
+    parts, total = [], 0
+    for start in range(0, len(positions), _BATCH):
+        # The last batch is filled up to the width that the kernels are compiled for.
+        epochs = np.minimum(np.arange(start, start + _BATCH), len(positions) - 1)
+        paths = solve(
+            radio,
+            anchors,
+            positions[epochs],
+            depth=1,
+            samples=rays,
+            los=False,
+            diffuse=True,
+            paths_per_source=_BATCH * rays,
+        )
+        kept = paths.select(paths.epoch < len(positions) - start)
+        grid = PathSet.build(kept, min(_BATCH, len(positions) - start), len(anchors))
+        array = plan.radio.agent_array.array()
+        parts.append(channel_response(grid, plan.radio.grid(), array, plan.agent.heading_rad))
+        total += len(kept)
+    return np.concatenate(parts), total

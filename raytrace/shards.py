@@ -1,0 +1,153 @@
+"""The shards of a dataset as xarray datasets: dimensions, units and frames.
+
+Complex numbers are pairs ``_re``, ``_im``; every variable has CF ``units``. Channels,
+beams and the arrival angles of the paths are in the agent's frame at the start;
+departure angles, walls, anchors and the track are in the plan frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import tomli_w
+import xarray as xr
+from numpy.typing import NDArray
+
+from estimator.geometry import vrp_of_line
+from raytrace.floorplan import FloorPlan
+from raytrace.paths import PathSet
+
+__all__ = ["echo_shard", "passive_shard", "paths_shard", "truth_shard"]
+
+_PLAN_FRAME = "the plan's: z up, azimuth counter-clockwise from x"
+_AGENT_FRAME = "the agent's at the start: the plan's, turned back by the agent's heading"
+
+
+def passive_shard(plan: FloorPlan, cfr: NDArray[np.complex128]) -> xr.Dataset:
+    """Noisy channels, shape (epochs, anchors, antennas, tones)."""
+    dims = ("epoch", "anchor", "antenna", "tone")
+    return xr.Dataset(
+        {
+            **_complex_pair("cfr", dims, cfr, np.float32, "channel gain with noise"),
+            "time_s": ("epoch", plan.times_s(), {"units": "s", "long_name": "time since the first epoch"}),
+        },
+        coords={**_epochs(plan), **_anchors(plan), **_tones(plan.radio.grid().offsets_hz())},
+    )
+
+
+def echo_shard(plan: FloorPlan, response: NDArray[np.complex128]) -> xr.Dataset:
+    """Noisy beam sweeps, shape (sweeps, beams, tones)."""
+    azimuth = plan.echo.beams.beam_set().azimuths()
+    epochs = np.array(plan.echo.sweep_epochs, dtype=np.int64)
+    return xr.Dataset(
+        {
+            **_complex_pair("echo", ("sweep", "beam", "tone"), response, np.float32, "two-way beam response"),
+            "sweep_epoch": ("sweep", epochs, {"units": "1", "long_name": "epoch of the sweep"}),
+            "beam_azimuth_rad": ("beam", azimuth, {"units": "rad", "frame": _AGENT_FRAME}),
+        },
+        coords=_tones(plan.echo.grid().offsets_hz()),
+    )
+
+
+def paths_shard(plan: FloorPlan, paths: PathSet) -> xr.Dataset:
+    """The specular paths without noise, axes (epoch, anchor, path)."""
+    dims = ("epoch", "anchor", "path")
+    arrival = np.angle(np.exp(1j * (paths.arrival_azimuth_rad - plan.agent.heading_rad)))
+    real = {
+        "delay_s": (paths.delay_s, {"units": "s", "long_name": "absolute time of flight"}),
+        "arrival_azimuth_rad": (arrival, {"units": "rad", "frame": _AGENT_FRAME}),
+        "arrival_elevation_rad": (paths.arrival_elevation_rad, {"units": "rad"}),
+        "departure_azimuth_rad": (paths.departure_azimuth_rad, {"units": "rad", "frame": _PLAN_FRAME}),
+        "departure_elevation_rad": (paths.departure_elevation_rad, {"units": "rad"}),
+    }
+    return xr.Dataset(
+        {
+            **{name: (dims, values, attributes) for name, (values, attributes) in real.items()},
+            **_complex_pair("amplitude", dims, paths.amplitude, np.float64, "gain with the carrier phase"),
+            "path_valid": (
+                dims,
+                paths.valid.astype(np.int8),
+                {"units": "1", "long_name": "1 where there is a path"},
+            ),
+            "order": (dims, paths.order, {"units": "1", "long_name": "number of bounces"}),
+            "walls": (
+                (*dims, "bounce"),
+                paths.walls,
+                {
+                    "units": "1",
+                    "long_name": "surface of each bounce from anchor to agent, -1 beyond the order",
+                    "flag_values": np.arange(len(plan.surface_names), dtype=np.int16),
+                    "flag_meanings": " ".join(name.replace(" ", "_") for name in plan.surface_names),
+                },
+            ),
+        },
+        coords={**_epochs(plan), **_anchors(plan)},
+    )
+
+
+def truth_shard(plan: FloorPlan, paths: PathSet) -> xr.Dataset:
+    """Floor plan, anchors, track and walls, in the plan frame."""
+    track = plan.track()
+    start, end = plan.walls_m()
+    metres = {"units": "m", "frame": _PLAN_FRAME}
+    floorplan = plan.model_dump(mode="json", exclude_none=True)
+    return xr.Dataset(
+        {
+            "anchor_position_m": (("anchor", "xyz"), plan.anchors_m(), metres),
+            "track_m": (("epoch", "xyz"), track, metres),
+            "time_s": ("epoch", plan.times_s(), {"units": "s"}),
+            "wall_start_m": (("wall", "xy"), start, metres),
+            "wall_end_m": (("wall", "xy"), end, metres),
+            "vrp_m": (
+                ("wall", "xy"),
+                vrp_of_line(start, end, track[0, :2]),
+                {**metres, "long_name": "mirror image of the agent's start in each wall"},
+            ),
+            "reflects": (
+                ("epoch", "anchor", "wall"),
+                _reflects(plan, paths).astype(np.int8),
+                {"units": "1", "long_name": "1 where a single bounce on the wall reaches the agent"},
+            ),
+        },
+        coords={
+            **_epochs(plan),
+            **_anchors(plan),
+            "wall": ("wall", [wall.name for wall in plan.walls]),
+        },
+        attrs={
+            "floorplan_toml": tomli_w.dumps(floorplan),
+            "start_m": track[0],
+            "heading_rad": plan.agent.heading_rad,
+        },
+    )
+
+
+def _reflects(plan: FloorPlan, paths: PathSet) -> NDArray[np.bool_]:
+    single = paths.valid & (paths.order == 1)
+    return np.stack(
+        [np.any(single & (paths.walls[..., 0] == wall), axis=-1) for wall in range(len(plan.walls))], axis=-1
+    )
+
+
+def _complex_pair(
+    name: str, dims: tuple[str, ...], values: NDArray[np.complex128], dtype: type, long_name: str
+) -> dict[str, tuple[tuple[str, ...], NDArray[np.floating], dict[str, str]]]:
+    return {
+        f"{name}_{suffix}": (
+            dims,
+            part.astype(dtype),
+            {"units": "1", "long_name": f"{long_name}, {word} part"},
+        )
+        for suffix, part, word in (("re", values.real, "real"), ("im", values.imag, "imaginary"))
+    }
+
+
+def _epochs(plan: FloorPlan) -> dict[str, tuple[str, NDArray[np.int64], dict[str, str]]]:
+    return {"epoch": ("epoch", np.arange(plan.agent.epochs, dtype=np.int64), {"units": "1"})}
+
+
+def _anchors(plan: FloorPlan) -> dict[str, tuple[str, list[str]]]:
+    return {"anchor": ("anchor", [anchor.name for anchor in plan.anchors])}
+
+
+def _tones(offsets_hz: NDArray[np.float64]) -> dict[str, tuple[str, NDArray[np.float64], dict[str, str]]]:
+    return {"tone_offset_hz": ("tone", offsets_hz, {"units": "Hz", "long_name": "offset from the carrier"})}
