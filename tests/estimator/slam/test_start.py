@@ -43,19 +43,17 @@ def test_gauge_covariance_is_that_of_sampled_walls():
     config = GaussianConfig()
     state = start(walls_of(), ("a",), 28e9, config)
     layout, draws = state.layout, 20_000
-    order = [
-        int(np.argmin(np.abs(np.hypot(*state.rows.mean[0, layout.wall(i)]) - np.hypot(*w.mean_m))))
-        for i, w in enumerate(walls_of())
-    ]
+    norms = np.linalg.norm([wall.mean_m for wall in walls_of()], axis=1)
+    in_slots = np.linalg.norm(state.rows.mean[0, layout.walls].reshape(-1, 2), axis=1)
+    order = [int(np.argmin(np.abs(norms - norm))) for norm in in_slots]  # wall in each slot
     samples = np.empty((draws, 1 + 2 * 3))
     for n in range(draws):
-        means = [wall.mean_m for wall in walls_of(rng)]
-        slots = sorted(range(3), key=lambda i: order[i])
-        bearing = np.arctan2(means[slots[0]][1], means[slots[0]][0])
-        theta = bearing - state.bearing_rad
-        c, s = np.cos(-bearing), np.sin(-bearing)
-        samples[n, 0] = theta
-        samples[n, 1:] = np.concatenate([np.array([[c, -s], [s, c]]) @ means[i] for i in slots])
+        walls = walls_of(rng)
+        means = np.array([walls[i].mean_m for i in order])
+        bearing = np.arctan2(means[0, 1], means[0, 0])
+        c, s = np.cos(bearing), np.sin(bearing)
+        samples[n, 0] = bearing - state.bearing_rad
+        samples[n, 1:] = (means @ np.array([[c, -s], [s, c]])).ravel()
     index = [layout.THETA, *range(layout.walls.start, layout.walls.stop)]
     claimed = state.rows.covariance[0][np.ix_(index, index)]
     sampled = np.cov(samples.T)
