@@ -30,7 +30,7 @@ from estimator.metrics import best_rotation, derotated, distances
 from estimator.result import SlamResult
 from estimator.walllines import line_points, line_std, seen_span
 
-__all__ = ["draw_map", "save_figure"]
+__all__ = ["draw_map", "require_picture_name", "save_figure"]
 
 Array = NDArray[np.float64]
 
@@ -94,23 +94,28 @@ def draw_map(result: SlamResult, truth: xr.Dataset | None = None, title: str | N
     return figure
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure atomically as PNG, SVG or PDF, by the suffix of its name.
+def require_picture_name(path: Path) -> None:
+    """Check the name of a picture to write.
 
     Raises
     ------
     InputError
-        If the suffix is another.
+        If it does not end in ``.png``, ``.svg`` or ``.pdf``.
     OutputExistsError
         If ``path`` exists.
     """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
+    if path.suffix.lower() not in SUFFIXES:
         raise InputError(
-            f"{path}: expected a name that ends in {', '.join(SUFFIXES)}, got {suffix or 'no suffix'!r}"
+            f"{path}: expected a name that ends in {', '.join(SUFFIXES)}, got {path.suffix or 'no suffix'!r}"
         )
     require_absent(path)
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure atomically as PNG, SVG or PDF; raises as :func:`require_picture_name`."""
+    path = Path(path)
+    require_picture_name(path)
+    suffix = path.suffix.lower()
     dated = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     temporary = temporary_name(path)
     try:

@@ -1,0 +1,231 @@
+"""From file to file: dataset -> measurements -> result -> figures of merit, picture.
+
+Each stage reads what the one before wrote and adds one file atomically. Files name the
+dataset they come from relative to their own folder, so that a folder can be moved and
+equal input gives equal bytes wherever it lies. What differs from run to run (seconds,
+versions, the command) goes to a sidecar, ``<result>.run.json``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from estimator.dataset import open_dataset, require_absent, write_text
+from estimator.errors import FileFormatError
+from estimator.evaluation import EvaluationConfig, evaluate
+from estimator.extract import extract
+from estimator.measurements import load_measurements, save_measurements
+from estimator.result import SlamResult, load_result, save_result
+from estimator.slam import run_slam
+
+__all__ = ["evaluate_file", "extract_file", "find_truth", "plot_file", "run_record", "slam_file"]
+
+Progress = Callable[..., None]
+
+_PACKAGES = ("hapslam", "numpy", "scipy", "xarray", "h5netcdf")
+
+
+def extract_file(dataset: Path, out: Path, progress: Progress | None = None) -> None:
+    """Estimate delays and walls from a dataset; write a measurement file.
+
+    Parameters
+    ----------
+    dataset : Path
+        Dataset directory; its truth is not opened.
+    out : Path
+        Measurement file to write.
+    progress : callable, optional
+        Called with (done, total) and what else the stage has to say.
+
+    Raises
+    ------
+    OutputExistsError
+        If ``out`` exists; nothing is done then.
+    FileFormatError
+        If the dataset is missing, incomplete or damaged.
+    """
+    require_absent(out)
+    measurements = extract(open_dataset(dataset), progress=progress)
+    save_measurements(replace(measurements, dataset=_relative(dataset, out)), out)
+
+
+def slam_file(
+    measurements: Path,
+    out: Path,
+    method: str = "hybrid",
+    engine: str = "gaussian",
+    seed: int = 0,
+    progress: Progress | None = None,
+    command: str | None = None,
+) -> None:
+    """Run SLAM on a measurement file; write a result file and its sidecar.
+
+    Parameters
+    ----------
+    measurements : Path
+        Measurement file; the dataset it came from is not opened.
+    out : Path
+        Result file to write.
+    method, engine, seed
+        As for :func:`estimator.slam.run_slam`.
+    progress : callable, optional
+        Called with (done, total) and what else the stage has to say.
+    command : str, optional
+        The command line, for the sidecar.
+
+    Raises
+    ------
+    OutputExistsError
+        If ``out`` exists; nothing is done then.
+    FileFormatError, InputError, ConfigurationError
+        If the measurements cannot be read or used, or the method or engine is unknown.
+    """
+    require_absent(out)
+    loaded = load_measurements(measurements)
+    begin = time.perf_counter()
+    result = run_slam(loaded, method=method, engine=engine, seed=seed, progress=progress)
+    seconds = time.perf_counter() - begin
+    source = None if loaded.dataset is None else _relative(measurements.parent / loaded.dataset, out)
+    save_result(replace(result, dataset=source), out)
+    record = {
+        "command": command,
+        "seconds": {"slam": seconds},
+        "seconds_per_epoch": seconds / max(len(result.epoch), 1),
+        "versions": {"python": platform.python_version(), **_versions()},
+        "method": method,
+        "engine": engine,
+        "seed": seed,
+        "settings": dict(result.settings),
+    }
+    write_text(json.dumps(record, indent=2) + "\n", _sidecar(out))
+
+
+def evaluate_file(
+    result: Path, truth: Path | None = None, config: EvaluationConfig | None = None
+) -> dict[str, Any]:
+    """Compare a result file with the truth; see :func:`estimator.evaluation.evaluate`.
+
+    Parameters
+    ----------
+    result : Path
+        Result file.
+    truth : Path, optional
+        Dataset with the truth; by default the one that the result names.
+    config : EvaluationConfig, optional
+        What counts as what.
+
+    Raises
+    ------
+    FileFormatError
+        If the result or the truth is missing or damaged.
+    InputError
+        If the truth is that of another dataset.
+    """
+    loaded = load_result(result)
+    return evaluate(
+        loaded, find_truth(result, loaded, truth), config, run_record(result).get("seconds_per_epoch")
+    )
+
+
+def plot_file(result: Path, out: Path, truth: Path | None = None, title: str | None = None) -> str | None:
+    """Draw a result file; see :func:`estimator.plots.draw_map`.
+
+    Parameters
+    ----------
+    result : Path
+        Result file.
+    out : Path
+        Picture to write, PNG, SVG or PDF by its suffix.
+    truth : Path, optional
+        Dataset with the truth; by default the one that the result names.
+    title : str, optional
+        Head of the picture.
+
+    Returns
+    -------
+    str or None
+        Why the truth is not in the picture, if it is not: without an explicit ``truth``, a
+        picture of the estimates alone is drawn where there is none.
+    """
+    from estimator.plots import draw_map, require_picture_name, save_figure  # Matplotlib is slow to import
+
+    require_picture_name(out)
+    loaded = load_result(result)
+    known: xr.Dataset | None = None
+    missing = None
+    try:
+        known = find_truth(result, loaded, truth)
+    except FileFormatError as error:
+        if truth is not None:
+            raise
+        missing = str(error)
+    save_figure(draw_map(loaded, known, title), out)
+    return missing
+
+
+def find_truth(path: Path, result: SlamResult, truth: Path | None = None) -> xr.Dataset:
+    """The truth of a result: of the dataset ``truth``, or of the one that the result names.
+
+    Raises
+    ------
+    FileFormatError
+        If there is none; the message says where it was looked for.
+    """
+    if truth is not None:
+        return open_dataset(truth).truth()
+    if result.dataset is None:
+        raise FileFormatError(f"{path}: expected the result to name its dataset, it names none; give it")
+    dataset = Path(os.path.normpath(path.parent / result.dataset))
+    try:
+        return open_dataset(dataset).truth()
+    except FileFormatError as error:
+        raise FileFormatError(f"{path}: expected its dataset with the truth at {dataset}: {error}") from error
+
+
+def run_record(result: Path) -> dict[str, Any]:
+    """The sidecar of a result file; empty if there is none.
+
+    Raises
+    ------
+    FileFormatError
+        If it is not a JSON object.
+    """
+    file = _sidecar(result)
+    if not file.is_file():
+        return {}
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise FileFormatError(f"{file}: expected JSON, could not read it: {error}") from error
+    if not isinstance(record, dict):
+        raise FileFormatError(f"{file}: expected a JSON object, got {type(record).__name__}")
+    return record
+
+
+def _sidecar(result: Path) -> Path:
+    return result.with_name(result.name + ".run.json")
+
+
+def _relative(dataset: Path, file: Path) -> str:
+    """Path of a dataset as seen from the folder of a file, with forward slashes."""
+    return Path(os.path.relpath(dataset.resolve(), file.resolve().parent)).as_posix()
+
+
+def _versions() -> dict[str, str | None]:
+    versions: dict[str, str | None] = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = None
+    return versions

@@ -1,0 +1,218 @@
+"""The command `hapslam`.
+
+Each command is a thin face of one function of the estimator or the ray tracer, which
+are imported when the command runs. The ray tracer is needed by `doctor`, `demo` and
+`trace` alone.
+
+Exit status: 0 when all went well, 1 when `doctor` found something bad or the system
+refused (no space, no permission), 2 when the input was bad. Errors are one line on
+the standard error.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from estimator.errors import HapslamError
+from service.progress import Reporter
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="hapslam",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of all randomness.")]
+Truth = Annotated[
+    Path | None,
+    typer.Option(metavar="DATASET", help="Dataset with the truth; by default the one that the result names."),
+]
+
+
+def _examples(*lines: str) -> str:
+    return "[bold]Examples[/]\n\n" + "\n\n".join(f"  $ hapslam {line}" for line in lines)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print_line(f"hapslam {metadata.version('hapslam')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version.")
+    ] = False,
+) -> None:
+    """From a floor plan to radio channels to a map: hybrid active and passive sensing SLAM."""
+
+
+@app.command(epilog=_examples("doctor", "doctor --json"))
+def doctor(as_json: Json = False) -> None:
+    """Look whether everything works here; every problem comes with its remedy."""
+    from raytrace.backend import Check, diagnose
+    from service.doctor import as_json as findings_json
+    from service.doctor import machine_findings, print_findings
+
+    findings = [*diagnose(), *machine_findings(Check)]
+    if as_json:
+        _print_json(findings_json(findings))
+    else:
+        print_findings(findings, Console())
+    if not all(finding.ok for finding in findings):
+        raise typer.Exit(1)
+
+
+@app.command(epilog=_examples("demo", "demo --scene l-room-hard --seed 3", "demo --out here --json"))
+def demo(
+    scene: Annotated[str, typer.Option(help="Name of a shipped scene, or a floor plan file.")] = "l-room",
+    seed: Seed = 1,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder to make; by default a new one in demo-output.")
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Trace a room while an agent walks through it, map it blindly, compare with the truth."""
+    from raytrace.floorplan import load_floorplan
+    from raytrace.generate import generate
+    from service.demo import claim_folder, new_folder, run_demo
+    from service.report import print_evaluation
+
+    plan = load_floorplan(scene)
+    folder = claim_folder(out) if out is not None else new_folder(f"{plan.name}-seed{seed}")
+    numbers = run_demo(
+        lambda dataset, advance: generate(plan, dataset, seed, advance),
+        folder,
+        seed,
+        f"{plan.name}, seed {seed}",
+        Reporter(quiet),
+        _command(),
+    )
+    if as_json:
+        _print_json(numbers)
+    else:
+        print_evaluation(numbers, Console())
+        print_line(f"picture    {folder / 'map.png'}")
+
+
+@app.command(epilog=_examples("trace l-room --out room", "trace my-plan.toml --out mine --seed 7"))
+def trace(
+    scene: Annotated[str, typer.Argument(help="Name of a shipped scene, or a floor plan file.")],
+    out: Annotated[Path, typer.Option(metavar="DATASET", help="Dataset directory to make.")],
+    seed: Seed = 1,
+    quiet: Quiet = False,
+) -> None:
+    """Trace a floor plan and write a dataset: channels, echoes, paths, truth."""
+    from raytrace.floorplan import load_floorplan
+    from raytrace.generate import generate
+
+    plan = load_floorplan(scene)
+    with Reporter(quiet).stage("trace") as advance:
+        generate(plan, out, seed, advance)
+
+
+@app.command(epilog=_examples("extract room --out room-measurements.nc"))
+def extract(
+    dataset: Annotated[Path, typer.Argument(help="Dataset directory.")],
+    out: Annotated[Path, typer.Option(metavar="MEASUREMENTS", help="Measurement file to write (netCDF).")],
+    quiet: Quiet = False,
+) -> None:
+    """Estimate delays from the channels and walls from the echoes."""
+    from estimator.pipeline import extract_file
+
+    with Reporter(quiet).stage("extract") as advance:
+        extract_file(dataset, out, advance)
+
+
+@app.command(epilog=_examples("slam room-measurements.nc --out room-result.nc"))
+def slam(
+    measurements: Annotated[Path, typer.Argument(help="Measurement file.")],
+    out: Annotated[Path, typer.Option(metavar="RESULT", help="Result file to write (netCDF).")],
+    method: Annotated[str, typer.Option(help="What is known and sensed.")] = "hybrid",
+    engine: Annotated[str, typer.Option(help="How inference is done.")] = "gaussian",
+    seed: Seed = 1,
+    quiet: Quiet = False,
+) -> None:
+    """Estimate agent, anchors and walls, epoch by epoch."""
+    from estimator.pipeline import slam_file
+
+    with Reporter(quiet).stage("slam") as advance:
+        slam_file(measurements, out, method, engine, seed, advance, _command())
+
+
+@app.command(epilog=_examples("evaluate room-result.nc", "evaluate room-result.nc --truth room --json"))
+def evaluate(
+    result: Annotated[Path, typer.Argument(help="Result file.")],
+    truth: Truth = None,
+    as_json: Json = False,
+) -> None:
+    """Compare a result with the truth of its dataset."""
+    from estimator.pipeline import evaluate_file
+    from service.report import print_evaluation
+
+    numbers = evaluate_file(result, truth)
+    if as_json:
+        _print_json(numbers)
+    else:
+        print_evaluation(numbers, Console())
+
+
+@app.command(epilog=_examples("plot room-result.nc --out map.png", "plot room-result.nc --out map.svg"))
+def plot(
+    result: Annotated[Path, typer.Argument(help="Result file.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Picture to write: .png, .svg or .pdf.")],
+    truth: Truth = None,
+) -> None:
+    """Draw the map: walls, anchors, track, uncertainties, and the truth where it is found."""
+    from estimator.pipeline import plot_file
+
+    missing = plot_file(result, out, truth)
+    if missing:
+        Reporter().say(f"hapslam: note: drawn without the truth; {missing}")
+
+
+def print_line(text: str) -> None:
+    """Print a line on the standard output as it is."""
+    sys.stdout.write(text + "\n")
+
+
+def _print_json(value: dict[str, Any]) -> None:
+    print_line(json.dumps(value, indent=2, allow_nan=False))
+
+
+def _command() -> str:
+    return shlex.join(["hapslam", *sys.argv[1:]])
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its status.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Arguments; by default those of the process.
+    """
+    try:
+        app(args=None if arguments is None else list(arguments), prog_name="hapslam")
+    except (HapslamError, OSError) as error:
+        text = "; ".join([str(error), *getattr(error, "__notes__", [])])
+        sys.stderr.write(f"hapslam: error: {' '.join(text.split())}\n")
+        sys.exit(2 if isinstance(error, HapslamError) else 1)
