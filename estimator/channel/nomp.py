@@ -81,10 +81,10 @@ class NompConfig:
 
     false_alarm: float = 0.01
     dynamic_range_db: float = 30.0
-    margin_db: float = 10.0
+    margin_db: float = 6.0
     max_paths: int = 40
     closest_cells: float = 0.1
-    floor_m: float = 0.02
+    floor_m: float = 0.05
     oversampling: int = 4
     newton_steps: int = 3
     cycles: int = 1
