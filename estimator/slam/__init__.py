@@ -1,6 +1,7 @@
 """SLAM: epochs of path delays in; agent, anchors and walls with uncertainty out."""
 
 from estimator.slam.config import GaussianConfig
+from estimator.slam.engine import Engine, GaussianEngine, Prior, epoch_rng
 from estimator.slam.estimate import Estimate, estimate
 from estimator.slam.gaussian import step
 from estimator.slam.run import run_slam
@@ -8,9 +9,13 @@ from estimator.slam.start import start
 from estimator.slam.state import GaussianState, load_state, save_state
 
 __all__ = [
+    "Engine",
     "Estimate",
     "GaussianConfig",
+    "GaussianEngine",
     "GaussianState",
+    "Prior",
+    "epoch_rng",
     "estimate",
     "load_state",
     "run_slam",

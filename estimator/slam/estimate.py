@@ -37,6 +37,10 @@ class Estimate:
         Walls that count as found.
     wall_mean_m, wall_covariance_m2 : ndarray, shapes (J, 2) and (J, 2, 2)
         Their VRPs.
+    hypotheses : int
+        Number of hypotheses (or particles) behind the estimate.
+    log_evidence : float
+        Log of the evidence of all epochs so far.
     """
 
     agent_mean: Array
@@ -48,6 +52,8 @@ class Estimate:
     wall_id: NDArray[np.int64]
     wall_mean_m: Array
     wall_covariance_m2: Array
+    hypotheses: int
+    log_evidence: float
 
 
 def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
@@ -93,6 +99,8 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         state.slots.wall_id[found],
         walls,
         wall_covariances,
+        len(rows),
+        state.log_evidence,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -12,12 +12,10 @@ from estimator.errors import ConfigurationError
 from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
 from estimator.slam.config import GaussianConfig
-from estimator.slam.estimate import Estimate, estimate
-from estimator.slam.gaussian import step
-from estimator.slam.start import start
-from estimator.slam.state import GaussianState
+from estimator.slam.engine import Engine, GaussianEngine, Prior, epoch_rng
+from estimator.slam.estimate import Estimate
 
-__all__ = ["ENGINES", "METHODS", "config_for", "run_slam"]
+__all__ = ["ENGINES", "METHODS", "config_for", "engine_for", "run_slam"]
 
 METHODS = ("hybrid",)
 ENGINES = ("gaussian",)
@@ -41,6 +39,21 @@ def config_for(measurements: MeasurementSet, base: GaussianConfig | None = None)
         raise ConfigurationError(
             f"measurement_model: expected fields of GaussianConfig, got {dict(stated)}"
         ) from error
+
+
+def engine_for(method: str, engine: str, config: GaussianConfig) -> Engine:
+    """The engine that runs ``method``.
+
+    Raises
+    ------
+    ConfigurationError
+        If the method or the engine is unknown.
+    """
+    if method not in METHODS:
+        raise ConfigurationError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+    if engine not in ENGINES:
+        raise ConfigurationError(f"engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
+    return GaussianEngine(config)
 
 
 def run_slam(
@@ -77,37 +90,31 @@ def run_slam(
     ConfigurationError
         If the method or the engine is unknown.
     InputError
-        If the measurements hold no wall, no anchor or no epoch in order.
+        If the measurements hold no wall, no anchor or no epoch.
     """
-    if method not in METHODS:
-        raise ConfigurationError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
-    if engine not in ENGINES:
-        raise ConfigurationError(f"engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
     config = config_for(measurements) if config is None else config
-    rng = np.random.default_rng(seed)
-    state = start(measurements.walls, measurements.anchors, measurements.carrier_hz, config)
-    states: list[tuple[int, float]] = []
+    chosen = engine_for(method, engine, config)
+    state = chosen.start(Prior.of(measurements), epoch_rng(seed, -1))
     estimates: list[Estimate] = []
     for done, epoch in enumerate(measurements.epochs):
-        state = step(state, epoch, config, rng)
-        states.append((len(state.rows), state.log_evidence))
-        estimates.append(estimate(state, config))
+        state = chosen.step(state, epoch, epoch_rng(seed, epoch.index))
+        estimates.append(chosen.estimate(state))
         if progress is not None:
             progress(done + 1, len(measurements.epochs))
     settings = {"slam": asdict(config), "measurements": dict(measurements.settings)}
-    return _collect(measurements, state, estimates, states, (method, engine, seed), settings)
+    return collect(measurements, estimates, method, engine, seed, settings)
 
 
-def _collect(
+def collect(
     measurements: MeasurementSet,
-    state: GaussianState,
-    estimates: list[Estimate],
-    states: list[tuple[int, float]],
-    label: tuple[str, str, int],
-    settings: dict[str, Any],
+    estimates: Sequence[Estimate],
+    method: str,
+    engine: str,
+    seed: int,
+    settings: Mapping[str, Any],
 ) -> SlamResult:
-    """Stack the epochs' estimates into arrays."""
-    epochs, anchors = len(estimates), len(state.anchor_names)
+    """Stack the estimates of all epochs of a run into a result."""
+    epochs, anchors = len(estimates), len(measurements.anchors)
     ids = np.unique(np.concatenate([[], *(e.wall_id for e in estimates)])).astype(np.int64)
     wall_valid = np.zeros((epochs, ids.size), dtype=bool)
     wall_mean = np.full((epochs, ids.size, 2), np.nan)
@@ -116,7 +123,10 @@ def _collect(
         columns = np.searchsorted(ids, e.wall_id)
         wall_valid[t, columns] = True
         wall_mean[t, columns], wall_covariance[t, columns] = e.wall_mean_m, e.wall_covariance_m2
-    method, engine, seed = label
+
+    def stacked(name: str, *shape: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+        return np.array([getattr(e, name) for e in estimates], dtype=np.float64).reshape(epochs, *shape)
+
     return SlamResult(
         method=method,
         engine=engine,
@@ -124,20 +134,18 @@ def _collect(
         anchors=measurements.anchors,
         epoch=np.array([epoch.index for epoch in measurements.epochs], dtype=np.int64),
         time_s=np.array([epoch.time_s for epoch in measurements.epochs], dtype=np.float64),
-        agent_mean=np.array([e.agent_mean for e in estimates]).reshape(epochs, 4),
-        agent_covariance=np.array([e.agent_covariance for e in estimates]).reshape(epochs, 4, 4),
-        rotation_std_rad=np.array([e.rotation_std_rad for e in estimates]),
-        anchor_valid=np.array([e.anchor_valid for e in estimates], dtype=bool).reshape(epochs, anchors),
-        anchor_mean_m=np.array([e.anchor_mean_m for e in estimates]).reshape(epochs, anchors, 2),
-        anchor_covariance_m2=np.array([e.anchor_covariance_m2 for e in estimates]).reshape(
-            epochs, anchors, 2, 2
-        ),
+        agent_mean=stacked("agent_mean", 4),
+        agent_covariance=stacked("agent_covariance", 4, 4),
+        rotation_std_rad=stacked("rotation_std_rad"),
+        anchor_valid=stacked("anchor_valid", anchors).astype(bool),
+        anchor_mean_m=stacked("anchor_mean_m", anchors, 2),
+        anchor_covariance_m2=stacked("anchor_covariance_m2", anchors, 2, 2),
         wall_id=ids,
         wall_valid=wall_valid,
         wall_mean_m=wall_mean,
         wall_covariance_m2=wall_covariance,
-        hypotheses=np.array([count for count, _ in states], dtype=np.int64),
-        log_evidence=np.array([evidence for _, evidence in states], dtype=np.float64),
-        settings=settings,
+        hypotheses=stacked("hypotheses").astype(np.int64),
+        log_evidence=stacked("log_evidence"),
+        settings=dict(settings),
         dataset=measurements.dataset,
     )

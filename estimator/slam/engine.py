@@ -1,0 +1,118 @@
+"""The step protocol: what every engine offers, and every caller uses.
+
+A run is a fold: ``state = start(prior)``, then ``state = step(state, epoch, rng)`` for
+each epoch, with ``estimate(state)`` whenever someone asks. States are values, which
+``save`` and ``load`` keep bit for bit. The generator of an epoch's randomness depends on
+the seed and the epoch's index alone (:func:`epoch_rng`), so that a run may be broken
+off and taken up anywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.measurements import Epoch, GaussianVrp, MeasurementSet
+from estimator.slam.config import GaussianConfig
+from estimator.slam.estimate import Estimate, estimate
+from estimator.slam.gaussian import step
+from estimator.slam.start import start
+from estimator.slam.state import GaussianState, load_state, save_state
+
+__all__ = ["Engine", "GaussianEngine", "Prior", "epoch_rng"]
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known before the first epoch.
+
+    Parameters
+    ----------
+    anchor_names : tuple of str
+        The anchors that epochs report on, in order.
+    walls : tuple of GaussianVrp
+        Walls sensed at the start, estimator's frame (RP at the origin).
+    carrier_hz : float
+        Carrier frequency, hertz.
+    anchors_m : ndarray, shape (K, 2), optional
+        Anchor positions, estimator's frame, where the method knows them.
+    """
+
+    anchor_names: tuple[str, ...]
+    walls: tuple[GaussianVrp, ...]
+    carrier_hz: float
+    anchors_m: NDArray[np.float64] | None = None
+
+    @classmethod
+    def of(cls, measurements: MeasurementSet) -> Prior:
+        """The prior that a measurement set brings."""
+        return cls(measurements.anchors, measurements.walls, measurements.carrier_hz)
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """One way of doing inference, configured; holds no state of its own."""
+
+    name: str
+
+    def start(self, prior: Prior, rng: np.random.Generator) -> Any:
+        """The state before the first epoch."""
+        ...
+
+    def step(self, state: Any, epoch: Epoch, rng: np.random.Generator) -> Any:
+        """The state after one more epoch; the given state is not changed."""
+        ...
+
+    def estimate(self, state: Any) -> Estimate:
+        """Agent, anchors and walls with covariances, estimator's frame."""
+        ...
+
+    def save(self, state: Any) -> bytes:
+        """The state as bytes."""
+        ...
+
+    def load(self, data: bytes) -> Any:
+        """The state that was saved, bit for bit."""
+        ...
+
+
+@dataclass(frozen=True)
+class GaussianEngine:
+    """The joint, gauge-separated Gaussian filter with hypotheses; draws no random numbers.
+
+    Parameters
+    ----------
+    config : GaussianConfig
+        Models and limits.
+    """
+
+    config: GaussianConfig
+    name: str = "gaussian"
+
+    def start(self, prior: Prior, rng: np.random.Generator) -> GaussianState:
+        """See :func:`estimator.slam.start.start`."""
+        return start(prior.walls, prior.anchor_names, prior.carrier_hz, self.config)
+
+    def step(self, state: GaussianState, epoch: Epoch, rng: np.random.Generator) -> GaussianState:
+        """See :func:`estimator.slam.gaussian.step`."""
+        return step(state, epoch, self.config, rng)
+
+    def estimate(self, state: GaussianState) -> Estimate:
+        """See :func:`estimator.slam.estimate.estimate`."""
+        return estimate(state, self.config)
+
+    def save(self, state: GaussianState) -> bytes:
+        """See :func:`estimator.slam.state.save_state`."""
+        return save_state(state)
+
+    def load(self, data: bytes) -> GaussianState:
+        """See :func:`estimator.slam.state.load_state`."""
+        return load_state(data)
+
+
+def epoch_rng(seed: int, index: int) -> np.random.Generator:
+    """The generator of epoch ``index`` (-1 for the start) of the run with ``seed``."""
+    return np.random.default_rng(np.random.SeedSequence([seed, index + 1]))
