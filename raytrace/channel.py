@@ -43,15 +43,20 @@ def superpose(
     """
     fine_count = int(np.ceil(np.sqrt(grid.tones)))
     coarse_count = -(-grid.tones // fine_count)
-    first_hz = grid.offsets_hz()[0]
-    coarse_hz = first_hz + np.arange(coarse_count) * fine_count * grid.tone_spacing_hz
-    fine_hz = np.arange(fine_count) * grid.tone_spacing_hz
-    delay = np.asarray(delay_s, dtype=np.float64)[..., None, :, None]
-    coarse = np.exp(-2j * np.pi * delay * coarse_hz)  # (..., 1, paths, coarse)
-    fine = np.exp(-2j * np.pi * delay * fine_hz)  # (..., 1, paths, fine)
-    weighted = weights[..., None] * coarse  # (..., signals, paths, coarse)
+    turn = -2j * np.pi * np.asarray(delay_s, dtype=np.float64)[..., None, :]  # (..., 1, paths)
+    first = weights * np.exp(turn * grid.offsets_hz()[0])
+    coarse = _powers(np.exp(turn * fine_count * grid.tone_spacing_hz), coarse_count)
+    fine = _powers(np.exp(turn * grid.tone_spacing_hz), fine_count)  # (..., 1, paths, fine)
+    weighted = first[..., None] * coarse  # (..., signals, paths, coarse)
     tones = np.swapaxes(weighted, -1, -2) @ fine  # (..., signals, coarse, fine)
     return np.asarray(tones.reshape(*tones.shape[:-2], -1)[..., : grid.tones])
+
+
+def _powers(base: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
+    """Powers 0 to ``count - 1`` of numbers on the unit circle, along a new last axis."""
+    steps = np.repeat(base[..., None], count, axis=-1)
+    steps[..., 0] = 1.0
+    return np.asarray(np.cumprod(steps, axis=-1))
 
 
 def channel_response(

@@ -80,8 +80,8 @@ def _physical(plan: FloorPlan, radio: RadioScene, places: NDArray[np.float64]) -
     half = np.array([0.0, 0.0, 0.5 * plan.echo.separation_m])
     responses, reports, specular, diffuse = [], [], 0, 0
     for place in places:
-        sender, receiver = (place + half)[None], (place - half)[None]
-        paths, report = trace_specular(plan, radio, sender, receiver, plan.echo.depth)
+        sender, receiver = place + half, place - half
+        paths, report = trace_specular(plan, radio, sender[None], receiver[None], plan.echo.depth)
         returns = paths.flat()
         returns = returns.select(returns.order > 0)
         reports.append(report)
@@ -90,12 +90,12 @@ def _physical(plan: FloorPlan, radio: RadioScene, places: NDArray[np.float64]) -
             scattered = solve(
                 radio,
                 sender,
-                receiver,
+                receiver[None],
                 depth=1,
                 samples=plan.echo.diffuse_samples,
                 los=False,
                 diffuse=True,
-                paths_per_source=plan.echo.diffuse_samples,
+                most_paths=plan.echo.diffuse_samples,
             )
             diffuse += len(scattered)
             returns = PathList.concatenate([returns, scattered])

@@ -1,18 +1,18 @@
 """Specular paths, complete: the solver's, checked against the image method.
 
-The agent's track is the receive array of one solver call, in batches of a fixed
-width, so that neither a position nor a track's length compiles a kernel. In a large
-batch the solver drops a few paths of two and more bounces: it recognises candidates
-that it has seen by a hash, and hashes collide. The image method says what there should
-be; positions that miss something are traced again, repeated until they fill a batch,
-which gives every path several other hashes, then with more rays. Paths that bounce
-within a millimetre of a corner are not expected: there the tracer's single precision
-decides.
+The agent's track is the receive array of one solver call for each anchor, in batches
+of a fixed width, so that neither a position, nor a track's length, nor another anchor
+compiles a kernel. In a large batch the solver drops a few paths of two and more
+bounces: it recognises candidates that it has seen by a hash, and hashes collide. The
+image method says what there should be; positions that miss something are traced
+again, repeated until they fill a batch, which gives every path several other hashes,
+then with more rays. Paths that bounce within a millimetre of a corner are not
+expected: there the tracer's single precision decides.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,30 +91,38 @@ def trace_specular(
     plan: FloorPlan, radio: RadioScene, sources_m: Array, positions_m: Array, depth: int
 ) -> tuple[PathSet, TraceReport]:
     """Trace the specular paths from sources (k, 3) to positions (n, 3), metres; as :func:`trace_passive`."""
-    exact = image_paths(plan, positions_m, depth, sources_m, rim_m=_RIM_M)
-    wanted = set(exact.flat().keys())
+    exact = image_paths(plan, positions_m, depth, sources_m, rim_m=_RIM_M).flat()
 
-    def trace(epochs: NDArray[np.int64], samples: int) -> PathList:
-        return _trace(radio, sources_m, positions_m, epochs, depth, samples)
+    def keys(paths: PathList) -> NDArray[np.int64]:
+        return paths.keys(len(sources_m), len(plan.surface_names))
 
-    paths = trace(np.arange(len(positions_m)), plan.tracing.samples)
-    retraced = 0
-    for attempt, more in enumerate(_RETRIES):
-        missing = sorted({key[0] for key in wanted.difference(paths.keys())})
-        if not missing:
-            break
-        retraced += len(missing)
-        again = trace(np.roll(missing, attempt), more * plan.tracing.samples)
-        paths = _distinct(PathList.concatenate([paths, again]))
+    everywhere = np.arange(len(positions_m))
+    parts, retraced = [], 0
+    for index, source in enumerate(sources_m):
+        mine = exact.select(exact.anchor == index)
+        part = _trace(radio, source, index, positions_m, everywhere, depth, plan.tracing.samples)
+        for attempt, more in enumerate(_RETRIES):
+            missing = np.unique(mine.epoch[~np.isin(keys(mine), keys(part))])
+            if not missing.size:
+                break
+            retraced += missing.size
+            epochs, samples = np.roll(missing, attempt), more * plan.tracing.samples
+            again = _trace(radio, source, index, positions_m, epochs, depth, samples)
+            part = _distinct(PathList.concatenate([part, again]))
+        parts.append(part)
 
-    traced = set(paths.keys())
-    if traced - wanted:
-        wanted |= traced & set(image_paths(plan, positions_m, depth, sources_m).flat().keys())
+    paths = PathList.concatenate(parts)
+    expected, traced = keys(exact), keys(paths)
+    unexpected = np.setdiff1d(traced, expected)
+    if unexpected.size:
+        at_corners = keys(image_paths(plan, positions_m, depth, sources_m).flat())
+        expected = np.union1d(expected, np.intersect1d(unexpected, at_corners))
+    found = np.intersect1d(expected, traced).size
     report = TraceReport(
-        expected=len(wanted),
-        found=len(wanted & traced),
-        missing=len(wanted - traced),
-        extra=len(traced - wanted),
+        expected=expected.size,
+        found=found,
+        missing=expected.size - found,
+        extra=traced.size - found,
         retraced=retraced,
     )
     return PathSet.build(paths, len(positions_m), len(sources_m)), report
@@ -122,18 +130,19 @@ def trace_specular(
 
 def _trace(
     radio: RadioScene,
-    sources: Array,
+    source: Array,
+    index: int,
     positions: Array,
     epochs: NDArray[np.int64],
     depth: int,
     samples: int,
 ) -> PathList:
-    """Paths to the given epochs, in full batches: the last is filled by repeating epochs."""
+    """Paths of one source to some epochs, in full batches: the last is filled by repeating epochs."""
     filled = np.resize(epochs, -(-len(epochs) // _BATCH) * _BATCH)
     parts = []
     for batch in filled.reshape(-1, _BATCH):
-        traced = solve(radio, sources, positions[batch], depth=depth, samples=samples)
-        parts.append(traced.with_epochs(batch[traced.epoch]))
+        traced = solve(radio, source, positions[batch], depth=depth, samples=samples)
+        parts.append(replace(traced, epoch=batch[traced.epoch], anchor=np.full(len(traced), index)))
     return _distinct(PathList.concatenate(parts))
 
 

@@ -7,8 +7,7 @@ agent, whether they were traced (:mod:`raytrace.passive`) or constructed
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,10 +66,6 @@ class PathList:
         """The paths of a mask or an index, in its order."""
         return PathList(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
-    def with_epochs(self, epoch: NDArray[np.int64]) -> PathList:
-        """The same paths under other epoch numbers, shape (n,)."""
-        return replace(self, epoch=epoch)
-
     @staticmethod
     def concatenate(parts: list[PathList]) -> PathList:
         """The paths of all ``parts``, one list after the other; the most bounces set the width."""
@@ -87,10 +82,16 @@ class PathList:
             row += len(part)
         return PathList(**columns, walls=walls)
 
-    def keys(self) -> Iterator[tuple[int, ...]]:
-        """What identifies a specular path: (epoch, anchor, walls...)."""
-        rows = np.column_stack([self.epoch, self.anchor, self.walls])
-        return map(tuple, rows.tolist())
+    def keys(self, anchors: int, surfaces: int) -> NDArray[np.int64]:
+        """A number for what identifies a specular path: epoch, anchor and walls; shape (n,).
+
+        Numbers of two lists can be compared if they count the same anchors and
+        surfaces and have columns for as many bounces.
+        """
+        key = self.epoch * anchors + self.anchor
+        for wall in self.walls.T.astype(np.int64):
+            key = key * (surfaces + 1) + (wall + 1)
+        return key
 
     def canonical(self) -> PathList:
         """Sorted by epoch, anchor, delay, order and walls."""

@@ -7,12 +7,14 @@ places are the same for the whole track, as those of a real wall are.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from raytrace.channel import channel_response
 from raytrace.floorplan import FloorPlan
-from raytrace.paths import PathSet
+from raytrace.paths import PathList, PathSet
 from raytrace.scene import RadioScene
 from raytrace.solver import solve
 
@@ -45,15 +47,21 @@ def diffuse_response(plan: FloorPlan, radio: RadioScene) -> tuple[NDArray[np.com
     for start in range(0, len(positions), _BATCH):
         # The last batch is filled up to the width that the kernels are compiled for.
         epochs = np.minimum(np.arange(start, start + _BATCH), len(positions) - 1)
-        paths = solve(
-            radio,
-            anchors,
-            positions[epochs],
-            depth=1,
-            samples=rays,
-            los=False,
-            diffuse=True,
-            paths_per_source=_BATCH * rays,
+        traced = [
+            solve(
+                radio,
+                anchor,
+                positions[epochs],
+                depth=1,
+                samples=rays,
+                los=False,
+                diffuse=True,
+                most_paths=_BATCH * rays,
+            )
+            for anchor in anchors
+        ]
+        paths = PathList.concatenate(
+            [replace(part, anchor=np.full(len(part), index)) for index, part in enumerate(traced)]
         )
         kept = paths.select(paths.epoch < len(positions) - start)
         grid = PathSet.build(kept, min(_BATCH, len(positions) - start), len(anchors))

@@ -58,6 +58,8 @@ def build_scene(plan: FloorPlan, carrier_hz: float) -> RadioScene:
         If the ray tracer cannot run on this machine.
     """
     prepare()
+    import drjit as dr
+    import mitsuba as mi
     import sionna.rt as rt
 
     corners = surfaces_of(plan).corners()
@@ -66,7 +68,7 @@ def build_scene(plan: FloorPlan, carrier_hz: float) -> RadioScene:
         groups.setdefault((slab.material, slab.thickness_m), []).append(index)
 
     scene = rt.Scene()
-    scene.frequency = carrier_hz
+    scene.frequency = dr.opaque(mi.Float, carrier_hz)
     objects = []
     for number, members in enumerate(groups.values()):
         slab = plan.surface_slabs[members[0]]

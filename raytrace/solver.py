@@ -1,9 +1,9 @@
 """One call of Sionna's path solver: points in, a list of paths out.
 
-All sources are elements of one transmit array, all targets of one receive array, and
-positions travel as data: the kernels that Dr.Jit compiles for one set of points then
-serve every other of the same size. (Setting positions one by one compiles them anew
-for each.)
+The targets are the elements of one receive array, the source that of a transmit array,
+and positions travel as data: the kernels that Dr.Jit compiles for one set of points
+then serve every other of the same size. (The position of a device, set as three numbers,
+becomes part of the kernel's code, which is then compiled anew for each.)
 """
 
 from __future__ import annotations
@@ -14,46 +14,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
-from raytrace.paths import PathList
+from raytrace.paths import NO_SURFACE, PathList
 from raytrace.scene import RadioScene
 
 __all__ = ["solve"]
 
-# Paths kept per source; memory is about 0.2 kB each, and what does not fit is lost.
-_PATHS_PER_SOURCE = 200_000
+# Paths that a call can hold; memory is about 0.2 kB each, and what does not fit is lost.
+_MOST_PATHS = 200_000
 # Of no effect on specular paths, which involve no chance; fixes where diffuse ones scatter.
 _SEED = 1
 
 
 def solve(
     radio: RadioScene,
-    sources_m: NDArray[np.float64],
+    source_m: NDArray[np.float64],
     targets_m: NDArray[np.float64],
     *,
     depth: int,
     samples: int,
     los: bool = True,
     diffuse: bool = False,
-    paths_per_source: int = _PATHS_PER_SOURCE,
+    most_paths: int = _MOST_PATHS,
 ) -> PathList:
-    """Trace paths from every source to every target.
+    """Trace paths from one source to every target.
 
     Parameters
     ----------
     radio : RadioScene
         Scene, at its carrier.
-    sources_m, targets_m : ndarray, shapes (k, 3) and (n, 3)
-        End points, metres: ``PathList.anchor`` and ``PathList.epoch`` count them.
+    source_m, targets_m : ndarray, shapes (3,) and (n, 3)
+        End points, metres; ``PathList.epoch`` counts the targets, and
+        ``PathList.anchor`` is 0.
     depth : int
         Most bounces.
     samples : int
-        Rays shot from each source.
+        Rays shot from the source.
     los : bool
         Whether to include the line of sight.
     diffuse : bool
         Trace diffuse reflections alone (all rays go into them) in place of specular ones.
-    paths_per_source : int
-        Most paths of one source to all targets.
+    most_paths : int
+        Most paths to all targets together; further ones are lost.
 
     Returns
     -------
@@ -66,14 +67,14 @@ def solve(
     for device in (*scene.transmitters, *scene.receivers):
         scene.remove(device)
     wavelength = SPEED_OF_LIGHT_M_S / float(scene.frequency[0])
-    scene.tx_array = _array(sources_m / wavelength)
+    scene.tx_array = _array(source_m[None] / wavelength)
     scene.rx_array = _array(targets_m / wavelength)
-    scene.add([rt.Transmitter("sources", [0.0, 0.0, 0.0]), rt.Receiver("targets", [0.0, 0.0, 0.0])])
+    scene.add([rt.Transmitter("source", [0.0, 0.0, 0.0]), rt.Receiver("targets", [0.0, 0.0, 0.0])])
     paths = rt.PathSolver()(
         scene,
         max_depth=depth,
         samples_per_src=samples,
-        max_num_paths_per_src=paths_per_source,
+        max_num_paths_per_src=most_paths,
         synthetic_array=False,
         los=los,
         specular_reflection=not diffuse,
@@ -97,29 +98,29 @@ def _array(positions: NDArray[np.float64]) -> Any:
 
 def _path_list(radio: RadioScene, paths: Any, depth: int) -> PathList:
     """Sionna's tensors, axes (rx, target, tx, source, path), as one row per path."""
-    valid = paths.valid.numpy()[0, :, 0]  # (target, source, path)
-    target, source, _ = np.nonzero(valid)
+    valid = paths.valid.numpy()[0, :, 0, 0]  # (target, path)
+    target, _ = np.nonzero(valid)
 
     def pick(tensor: Any) -> NDArray[np.float64]:
-        return np.asarray(tensor.numpy()[0, :, 0][valid], dtype=np.float64)
+        return np.asarray(tensor.numpy()[0, :, 0, 0][valid], dtype=np.float64)
 
     delay = pick(paths.tau)
     gain = pick(paths.a[0]) + 1j * pick(paths.a[1])
     carrier_hz = float(radio.scene.frequency[0])
     if depth == 0 or not len(delay):
-        walls = np.full((len(delay), max(depth, 1)), -1, dtype=np.int16)
+        walls = np.full((len(delay), max(depth, 1)), NO_SURFACE, dtype=np.int16)
     else:
-        bounces = [tensor.numpy()[:, 0, :, 0][:, valid].T for tensor in (paths.objects, paths.primitives)]
+        bounces = [tensor.numpy()[:, 0, :, 0, 0][:, valid].T for tensor in (paths.objects, paths.primitives)]
         walls = radio.surfaces(*bounces)
     return PathList(
         epoch=target.astype(np.int64),
-        anchor=source.astype(np.int64),
+        anchor=np.zeros(len(target), dtype=np.int64),
         delay_s=delay,
         amplitude=gain * np.exp(-2j * np.pi * carrier_hz * delay),
         departure_azimuth_rad=pick(paths.phi_t),
         departure_elevation_rad=0.5 * np.pi - pick(paths.theta_t),
         arrival_azimuth_rad=pick(paths.phi_r),
         arrival_elevation_rad=0.5 * np.pi - pick(paths.theta_r),
-        order=np.sum(walls >= 0, axis=1, dtype=np.int16),
+        order=np.sum(walls != NO_SURFACE, axis=1, dtype=np.int16),
         walls=walls,
     )
