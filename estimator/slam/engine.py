@@ -56,7 +56,10 @@ class Prior:
 class Engine(Protocol):
     """One way of doing inference, configured; holds no state of its own."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """The engine's name."""
+        ...
 
     def start(self, prior: Prior, rng: np.random.Generator) -> Any:
         """The state before the first epoch."""

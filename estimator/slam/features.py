@@ -95,8 +95,8 @@ def predict_paths(mean: Array, layout: Layout) -> Prediction:
         [anchor[:, :, None], image, double.reshape(rows, anchors, slots**2, 2)], axis=2
     )  # (R, K, F, 2)
     offset = position[:, :, None, :] - sources
-    length = np.sqrt(np.sum(offset * offset, axis=-1) + height2[:, :, None])
-    length = np.maximum(length, 1e-3)
+    square = np.sum(offset * offset, axis=-1) + height2[:, :, None]
+    length = np.sqrt(np.maximum(square, 1e-6))
     ray = offset / length[..., None]  # d length / d position
     ray_double = ray[:, :, 1 + slots :].reshape(rows, anchors, slots, slots, 2)
     before = _flip(ray_double, second)  # seen from between the two bounces

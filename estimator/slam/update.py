@@ -139,7 +139,7 @@ def correct(
     ratio, _, innovation = _ratios(prediction, covariance, chance, length_m, variance, valid, layout, config)
 
     # first pass: what belief propagation does not doubt
-    sure = associate(ratio).probability > _SURE
+    sure: Mask = np.asarray(associate(ratio).probability > _SURE, dtype=bool)
     taken = sure.any(axis=-1)  # (R, K, F)
     chosen = np.argmax(sure, axis=-1)
     first = np.take_along_axis(innovation, chosen[..., None], axis=-1)[..., 0]
@@ -212,11 +212,11 @@ def _split(
     left = np.maximum(np.min(spread[..., None] * noise / s, axis=-1), 1e-8)
     harm = (scatter / left).reshape(len(share), -1)
     worst = np.argmax(harm, axis=1)
-    parent, ratios, log_share = [], [], []
+    children: list[tuple[int, Array, float]] = []
     for r in range(len(share)):
         k, f = np.unravel_index(worst[r], spread.shape[1:])
         if harm[r, worst[r]] < _APART**2:
-            parent.append(r), ratios.append(ratio[r]), log_share.append(0.0)
+            children.append((r, ratio[r], 0.0))
             continue
         chances = np.append(share[r, k, f], max(1.0 - share[r, k, f].sum(), 0.0))
         for j in np.flatnonzero(chances > 0.01):
@@ -225,7 +225,8 @@ def _split(
             if j < share.shape[-1]:
                 decided[k, :, j] = 0.0
                 decided[k, f, j] = _CERTAIN
-            parent.append(r), ratios.append(decided), log_share.append(np.log(chances[j]))
+            children.append((r, decided, float(np.log(chances[j]))))
+    parent, ratios, log_share = zip(*children, strict=True)
     return np.array(parent), np.array(ratios), np.array(log_share)
 
 
