@@ -32,6 +32,14 @@ __all__ = [
 
 FORMAT = "hapslam-measurements"
 VERSION = 1
+_DIMS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("path_valid", "delay_s", "delay_std_s", "gain_db"), ("epoch", "anchor", "path")),
+    "time_s": ("epoch",),
+    "vrp_mean_m": ("wall", "xy"),
+    "vrp_covariance_m2": ("wall", "xy", "xy2"),
+    "epoch": ("epoch",),
+    "anchor": ("anchor",),
+}
 Array = NDArray[np.float64]
 
 
@@ -237,6 +245,11 @@ def _anchor_paths(delay_s: Array, delay_std_s: Array, gain_db: Array) -> AnchorP
 def load_measurements(path: Path) -> MeasurementSet:
     """Read a measurement file; raises FileFormatError if it is none, InputError if its values are bad."""
     data = read_netcdf(path, FORMAT, VERSION)
+    for name, dims in _DIMS.items():
+        if name not in data:
+            raise FileFormatError(f"{path}: expected the variable {name}, it is missing")
+        if data[name].dims != dims:
+            raise FileFormatError(f"{path}: expected {name} to have axes {dims}, got {data[name].dims}")
     try:
         valid = data["path_valid"].values.astype(bool)
         columns = [data[name].values for name in ("delay_s", "delay_std_s", "gain_db")]
@@ -269,8 +282,8 @@ def load_measurements(path: Path) -> MeasurementSet:
             attributes["dataset"] or None,
         )
     except KeyError as error:
-        raise FileFormatError(f"{path}: expected the variable or attribute {error}, it is missing") from error
+        raise FileFormatError(f"{path}: expected the attribute {error}, it is missing") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    except (ValueError, IndexError) as error:
-        raise FileFormatError(f"{path}: expected arrays that fit together, got {error}") from error
+    except ValueError as error:
+        raise FileFormatError(f"{path}: expected settings in JSON, could not read them: {error}") from error
