@@ -93,4 +93,4 @@ def add_noise(response: ArrayLike, variance: float, rng: np.random.Generator) ->
     """A response plus circular complex Gaussian noise of a variance per entry, same shape."""
     clean = np.asarray(response, dtype=np.complex128)
     noise = rng.standard_normal((*clean.shape, 2)) * np.sqrt(0.5 * variance)
-    return clean + noise[..., 0] + 1j * noise[..., 1]
+    return np.asarray(clean + noise[..., 0] + 1j * noise[..., 1])

@@ -172,7 +172,7 @@ class FloorPlan(Part):
 
     def times_s(self) -> NDArray[np.float64]:
         """Time of every epoch since the first, shape (epochs,), seconds."""
-        return np.arange(self.agent.epochs) * (self.agent.step_m / self.agent.speed_m_s)
+        return np.arange(self.agent.epochs, dtype=np.float64) * (self.agent.step_m / self.agent.speed_m_s)
 
     def scattering_of(self, material: str) -> float:
         """Scattering coefficient S of a material (zero unless the plan sets one)."""

@@ -8,6 +8,7 @@ agent, whether they were traced (:mod:`raytrace.passive`) or constructed
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +129,7 @@ class PathSet:
         shape = (epochs * anchors, max(int(counts.max(initial=0)), 1))
         slot = np.arange(len(paths)) - np.repeat(np.cumsum(counts) - counts, counts)
 
-        def spread(values: NDArray[np.generic], empty: object) -> NDArray[np.generic]:
+        def spread(values: NDArray[Any], empty: object) -> NDArray[Any]:
             grid = np.full((*shape, *values.shape[1:]), empty, dtype=values.dtype)
             grid[channel, slot] = values
             return grid.reshape(epochs, anchors, *grid.shape[1:])
