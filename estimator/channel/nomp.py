@@ -35,7 +35,7 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.channel.bounds import joint_delay_variance
-from estimator.channel.detection import detection_threshold
+from estimator.channel.detection import delay_length, detection_threshold
 from estimator.channel.model import ToneCorrelator
 from estimator.channel.refinement import Fit, cycle, newton_step, polish, widely_spaced
 from estimator.errors import ConfigurationError, InputError
@@ -142,7 +142,7 @@ class NompPlan:
     def __init__(self, grid: OfdmGrid, config: NompConfig | None = None) -> None:
         self.grid = grid
         self.config = NompConfig() if config is None else config
-        self.threshold = detection_threshold(self.config.false_alarm, grid.tones)
+        self.threshold = detection_threshold(self.config.false_alarm, delay_length(grid.tones))
         self._correlator = ToneCorrelator(grid.tones)
         self._bins = scipy.fft.next_fast_len(self.config.oversampling * grid.tones)
 
