@@ -18,7 +18,7 @@ from estimator.slam.association import associate
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import reflect, wall_side
 
-__all__ = ["Candidates", "Centres", "PathBatch", "images_of_agent", "locate"]
+__all__ = ["Candidates", "Centres", "PathBatch", "evidence_at", "images_of_agent", "locate"]
 
 Array = NDArray[np.float64]
 _PRIOR = (0.9, 0.6, 0.2)  # that a path of 0, 1, 2 bounces can be heard
@@ -265,7 +265,8 @@ def locate(
     config : GaussianConfig
         Models.
     seed_epochs : ndarray of int64
-        Epochs whose circles are intersected; all epochs vote.
+        Epochs whose circles are intersected, and which choose among the candidates; all
+        epochs weigh those chosen.
 
     Returns
     -------
@@ -282,9 +283,12 @@ def locate(
     seeds = _seeds(centres, paths, seed_epochs)
     if len(seeds) == 0:
         return none
+    here, heard = np.isin(centres.epoch, seed_epochs), np.isin(paths.epoch, seed_epochs)
+    now = Centres(*(column[here] for column in vars(centres).values()))
+    now_paths = PathBatch(*(column[heard] for column in vars(paths).values()))
     scores = []
     for chunk in np.array_split(seeds, max(1, len(seeds) // 512)):
-        ratio, miss, _ = _odds(chunk, centres, paths, walls, config)
+        ratio, miss, _ = _odds(chunk, now, now_paths, walls, config)
         scores.append(np.sum(np.log(miss) + np.log1p(ratio.sum(axis=-1)), axis=-1))
     score = np.concatenate(scores)
     points = seeds[_distinct(seeds, score, 0.7, 150)]
@@ -293,6 +297,30 @@ def locate(
     points, information = points[finite], information[finite]
     if len(points) == 0:
         return none
+    total, label, matches = _weigh(points, information, centres, paths, walls, config)
+    covariance = np.linalg.inv(information)
+    kept = _distinct(points, total, 0.5, config.start_attempts)
+    kept = kept[total[kept] > total[kept[0]] - config.prune_nats]
+    return Candidates(points[kept], covariance[kept], total[kept], matches[kept], label[kept])
+
+
+def evidence_at(
+    points: Array, centres: Centres, paths: PathBatch, walls: dict[int, Array], config: GaussianConfig
+) -> Array:
+    """Log evidence (S,) of the anchor standing near ``points`` (S, 2), on the scale of :func:`locate`."""
+    points, information = _refine(points, centres, paths, walls, config)
+    return _weigh(points, information, centres, paths, walls, config)[0]
+
+
+def _weigh(
+    points: Array,
+    information: Array,
+    centres: Centres,
+    paths: PathBatch,
+    walls: dict[int, Array],
+    config: GaussianConfig,
+) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Log evidence (S,), labels (S, C) and numbers of explained first-order paths (S,)."""
     ratio, miss, _ = _odds(points, centres, paths, walls, config)
     total = np.sum(np.log(miss), axis=-1)
     label, heard = np.full(ratio.shape[:2], -1), np.zeros(ratio.shape[:2], dtype=bool)
@@ -304,10 +332,6 @@ def locate(
         likely = share.max(axis=-1) > 0.5
         label[:, rows] = np.where(likely, columns[np.argmax(share, axis=-1)], -1)
         heard[:, rows] = share.sum(axis=-1) > 0.5
-    matches = np.sum(heard & (centres.bounces < 2), axis=-1)
-    covariance = np.linalg.inv(information)
-    area = np.pi * config.region_m**2
-    total = total + 0.5 * np.linalg.slogdet(covariance)[1] + np.log(2.0 * np.pi / area)
-    kept = _distinct(points, total, 0.5, config.start_attempts)
-    kept = kept[total[kept] > total[kept[0]] - config.prune_nats]
-    return Candidates(points[kept], covariance[kept], total[kept], matches[kept], label[kept])
+    area = np.pi * config.region_m**2  # the prior, and Laplace's approximation of the integral
+    total = total - 0.5 * np.linalg.slogdet(information)[1] + np.log(2.0 * np.pi / area)
+    return total, label, np.sum(heard & (centres.bounces < 2), axis=-1)

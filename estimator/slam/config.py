@@ -43,6 +43,8 @@ class GaussianConfig:
         Epochs searched when one was not enough.
     start_attempts : int
         Rows (label hypotheses) kept of each anchor's start.
+    restart_distance_m : float
+        A located anchor may turn out to be elsewhere, at least this far away, metres.
     birth_window, birth_support : int
         Epochs looked back for a new wall, and unexplained paths on one line in them.
     birth_spacing_rad : float
@@ -71,7 +73,7 @@ class GaussianConfig:
         Hypotheses kept.
     """
 
-    range_std_m: float = 0.05
+    range_std_m: float = 0.08
     detection_probability: float = 0.95
     clutter_mean: float = 3.0
     region_m: float = 180.0
@@ -85,6 +87,7 @@ class GaussianConfig:
     start_matches: int = 4
     start_window: int = 16
     start_attempts: int = 20
+    restart_distance_m: float = 2.0
     birth_window: int = 18
     birth_support: int = 10
     birth_spacing_rad: float = float(np.deg2rad(1.5))

@@ -145,11 +145,12 @@ def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:
     new.log_weight[...] += config.birth_log_prior + bank.log_weight - logsumexp(bank.log_weight)
     slots = state.slots.copy()
     slots.wall_id[slot], slots.born[slot] = state.next_wall_id, state.epoch
-    used = (state.loose[:, 1] == line.anchor) & np.isin(state.loose[:, 2], line.length_m)
+    heard = state.heard.copy()
+    heard[(heard[:, 1] == line.anchor) & np.isin(heard[:, 2], line.length_m), 5] = 0.0
     return replace(
         state,
         rows=state.rows.joined(new),
         slots=slots,
         next_wall_id=state.next_wall_id + 1,
-        loose=state.loose[~used],
+        heard=heard,
     )

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.slam.anchors import Candidates, Centres, PathBatch, images_of_agent, locate
+from estimator.slam.anchors import Candidates, Centres, PathBatch, evidence_at, images_of_agent, locate
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths
 from estimator.slam.hypotheses import tidy
@@ -19,6 +19,8 @@ from estimator.slam.update import kalman
 __all__ = ["locate_anchors"]
 
 Array = NDArray[np.float64]
+_STRIDE = 4  # epochs between those of a window that are searched
+_RIVAL_LOG_PRIOR = -3.0  # log odds that a located anchor is elsewhere after all
 _PRIOR_STD_M = 10.0  # of an anchor started from one epoch, whose paths all enter the joint Gaussian
 
 
@@ -26,7 +28,9 @@ def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfi
     """Start the anchors that the best row has not located, where the paths allow it.
 
     The rows that lack the anchor split: one for each candidate place, weighted by
-    its evidence, and one that goes on without it.
+    its evidence, and one that goes on without it. A located anchor of which too much
+    goes unexplained is searched again; a place that explains the recent epochs better
+    becomes a rival hypothesis, and the epochs to come decide.
 
     Parameters
     ----------
@@ -38,23 +42,38 @@ def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfi
         Models.
     """
     for k in range(state.layout.anchors):
-        if state.rows.located[state.rows.best, k]:
+        located = bool(state.rows.located[state.rows.best, k])
+        if located and not _doubtful(state, k, config):
             continue
-        centres, batch, walls = _gather(state, paths, k, config)
+        centres, batch, walls = _gather(state, paths, k, located, config)
         found = locate(centres, batch, walls, config, np.array([state.epoch]))
         now = centres.epoch == state.epoch
         epochs = np.unique(batch.epoch).size
         fresh = np.sum((found.label >= 0) & now & (centres.bounces < 2), axis=1)
         enough = (found.matches >= config.start_matches * min(epochs, 2)) & (fresh >= 2)
+        if located:
+            here = state.rows.mean[state.rows.best, state.layout.anchor(k)][None, :2]
+            rival = np.linalg.norm(found.mean_m - here, axis=1) > config.restart_distance_m
+            enough &= rival & (found.log_evidence > evidence_at(here, centres, batch, walls, config)[0])
         if enough.any():
             chosen = Candidates(*(getattr(found, entry.name)[enough] for entry in fields(found)))
-            rows = _fork(state, paths, k, chosen, centres, epochs > 1, config)
+            rows = _fork(state, paths, k, chosen, centres, located, epochs > 1, config)
             state = replace(state, rows=tidy(rows, config))
     return state
 
 
+def _doubtful(state: GaussianState, k: int, config: GaussianConfig) -> bool:
+    """Whether so much of a located anchor goes unexplained that its place should be checked."""
+    if state.epoch % 4 or len(state.trail) < 4:
+        return False
+    loose = state.loose
+    count = np.sum(loose[:, 1] == k)
+    expected = config.clutter_mean * len(state.trail)
+    return bool(count > expected + 4.0 * np.sqrt(expected) + 0.5 * len(state.trail))
+
+
 def _gather(
-    state: GaussianState, paths: PathTable, k: int, config: GaussianConfig
+    state: GaussianState, paths: PathTable, k: int, located: bool, config: GaussianConfig
 ) -> tuple[Centres, PathBatch, dict[int, Array]]:
     """Circles of anchor ``k``: this epoch's and, every fourth epoch, recent ones."""
     layout, rows, best = state.layout, state.rows, state.rows.best
@@ -68,8 +87,8 @@ def _gather(
     table = [paths.length_m[k, :n], paths.std_m[k, :n], paths.excess_loss_db[k, :n]]
     heard = [np.column_stack([np.full(n, state.epoch), *table])]
     if state.epoch % 4 == 0:
-        for epoch, x, y, std in state.trail[:-1:3]:
-            old = state.loose[(state.loose[:, 1] == k) & (state.loose[:, 0] == epoch)]
+        for epoch, x, y, std in state.trail[-2::-_STRIDE]:
+            old = state.heard[(state.heard[:, 1] == k) & (state.heard[:, 0] == epoch)]
             if len(old):
                 centres.append(images_of_agent(np.array([x, y]), std**2, walls, spread, slots, int(epoch)))
                 heard.append(old[:, [0, 2, 3, 4]])
@@ -92,6 +111,7 @@ def _fork(
     k: int,
     found: Candidates,
     centres: Centres,
+    located: bool,
     windowed: bool,
     config: GaussianConfig,
 ) -> Rows:
@@ -103,15 +123,20 @@ def _fork(
     chose the place; their lengths are not used as information again.
     """
     layout = state.layout
-    waiting = np.flatnonzero(~state.rows.located[:, k])
+    waiting = np.array([state.rows.best]) if located else np.flatnonzero(~state.rows.located[:, k])
     count = len(found.mean_m)
     candidate = np.tile(np.arange(count), len(waiting))
     new = state.rows.take(np.repeat(waiting, count))
     place = layout.anchor(k)
     xy = slice(place.start, place.start + 2)
     new.located[:, k] = True
-    new.log_weight[...] += found.log_evidence[candidate]
+    new.log_weight[...] += _RIVAL_LOG_PRIOR if located else found.log_evidence[candidate]
     new.mean[:, xy] = found.mean_m[candidate]
+    if located:  # what was known of the anchor goes with its place
+        new.covariance[:, place, :] = 0.0
+        new.covariance[:, :, place] = 0.0
+        new.mean[:, place.stop - 1] = config.height2_mean_m2
+        new.covariance[:, place.stop - 1, place.stop - 1] = config.height2_std_m2**2
     wide = 9.0 * found.covariance_m2[candidate] + 0.25 * np.eye(2)
     new.covariance[:, xy, xy] = wide if windowed else _PRIOR_STD_M**2 * np.eye(2)
     new.visibility[:, k] = fresh_visibility(layout)

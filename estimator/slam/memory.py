@@ -111,8 +111,8 @@ def remember(
     active = state.active()[best] & prediction.possible[0]
     near = np.any(active[..., None] & (distance < radius[..., None]), axis=1)
     taken = rows.located[best][:, None] & (near | (explained > 0.3))
-    k, j = np.nonzero(paths.valid & ~taken)
-    columns = (paths.length_m[k, j], paths.std_m[k, j], paths.excess_loss_db[k, j])
-    loose = np.concatenate([state.loose, np.stack([np.full(k.size, state.epoch), k, *columns], axis=1)])
+    k, j = np.nonzero(paths.valid)
+    columns = (paths.length_m[k, j], paths.std_m[k, j], paths.excess_loss_db[k, j], ~taken[k, j])
+    heard = np.concatenate([state.heard, np.stack([np.full(k.size, state.epoch), k, *columns], axis=1)])
     oldest = state.epoch - max(config.birth_window, config.start_window)
-    return replace(state, trail=trail[trail[:, 0] > oldest], loose=loose[loose[:, 0] > oldest])
+    return replace(state, trail=trail[trail[:, 0] > oldest], heard=heard[heard[:, 0] > oldest])

@@ -95,7 +95,7 @@ def start(
         rows=rows,
         slots=slots,
         trail=np.empty((0, 4)),
-        loose=np.empty((0, 5)),
+        heard=np.empty((0, 6)),
     )
 
 

@@ -134,9 +134,9 @@ class GaussianState:
         The wall slots.
     trail : ndarray, shape (W, 4)
         Recent epochs of the best row: epoch, x, y, position standard deviation.
-    loose : ndarray, shape (N, 5)
-        Recent unexplained paths: epoch, anchor, length, its standard deviation, loss
-        in excess of free space in dB (NaN if powers are unknown).
+    heard : ndarray, shape (N, 6)
+        Recent paths: epoch, anchor, length, its standard deviation, loss in excess of
+        free space in dB (NaN if powers are unknown), 1 if nothing explained it or else 0.
     """
 
     anchor_names: tuple[str, ...]
@@ -149,12 +149,17 @@ class GaussianState:
     rows: Rows
     slots: Slots
     trail: NDArray[np.float64]
-    loose: NDArray[np.float64]
+    heard: NDArray[np.float64]
 
     @property
     def layout(self) -> Layout:
         """Positions in the state vector."""
         return Layout(len(self.anchor_names), len(self.slots.wall_id))
+
+    @property
+    def loose(self) -> NDArray[np.float64]:
+        """The rows (N, 5) of ``heard`` that nothing explained."""
+        return self.heard[self.heard[:, 5] == 1.0, :5]
 
     def active(self) -> NDArray[np.bool_]:
         """Features (R, K, F) that each row has; pairs need two walls that count as found."""
@@ -171,7 +176,7 @@ _SCALARS = ("carrier_hz", "bearing_rad", "epoch", "time_s", "log_evidence", "nex
 def save_state(state: GaussianState) -> bytes:
     """The state as bytes (an npz archive without pickles); equal states give equal bytes."""
     columns = {name: np.asarray(getattr(state, name)) for name in _SCALARS}
-    columns |= {name: getattr(state, name) for name in ("trail", "loose")}
+    columns |= {name: getattr(state, name) for name in ("trail", "heard")}
     columns["anchor_names"] = np.array(state.anchor_names)
     columns |= {f"rows.{entry.name}": getattr(state.rows, entry.name) for entry in fields(Rows)}
     columns |= {f"slots.{entry.name}": getattr(state.slots, entry.name) for entry in fields(Slots)}
@@ -199,7 +204,7 @@ def load_state(data: bytes) -> GaussianState:
         return GaussianState(
             anchor_names=tuple(str(name) for name in columns["anchor_names"]),
             trail=columns["trail"],
-            loose=columns["loose"],
+            heard=columns["heard"],
             carrier_hz=float(columns["carrier_hz"]),
             bearing_rad=float(columns["bearing_rad"]),
             epoch=int(columns["epoch"]),

@@ -140,7 +140,7 @@ def correct(
 
     # first pass: what belief propagation does not doubt
     sure: Mask = np.asarray(associate(ratio).probability > _SURE, dtype=bool)
-    taken = sure.any(axis=-1)  # (R, K, F)
+    taken: Mask = np.asarray(np.any(sure, axis=-1))  # (R, K, F)
     chosen = np.argmax(sure, axis=-1)
     first = np.take_along_axis(innovation, chosen[..., None], axis=-1)[..., 0]
     noise = variance[np.arange(layout.anchors)[None, :, None], chosen]
@@ -148,7 +148,7 @@ def correct(
     log_evidence = np.sum(np.where(taken, prior, 0.0), axis=(1, 2))
     mean, covariance, log_density = _take(mean, covariance, prediction.jacobian, first, noise, taken)
     log_evidence = log_evidence + log_density
-    used = sure.any(axis=-2)  # (R, K, M)
+    used: Mask = np.asarray(np.any(sure, axis=-2))  # (R, K, M)
 
     # second pass: everything else, predicted again
     prediction = predict_paths(mean, layout)
