@@ -247,17 +247,15 @@ class _Map:
 
     def _window(self) -> Array:
         """Limits of the picture, shape (2, 2): x and y, from and to."""
-        shown = [self._place(self.result.agent_mean[:, :2]), *self.segments.values()]
-        shown += [self._place(self.result.anchor_mean_m[-1, self.anchors])]
-        if self.truth is not None:
-            shown = [
-                shown[0],
-                shown[-1],
-                *self._place(np.stack([s.segments_m for s in self.truth.surfaces]))[:, 0],
-            ]
+        shown = [self._place(self.result.agent_mean[:, :2])]
+        shown.append(self._place(self.result.anchor_mean_m[-1, self.anchors]))
+        if self.truth is None:
+            shown.extend(self.segments.values())
+        else:
+            shown.extend(self._place(surface.segments_m).reshape(-1, 2) for surface in self.truth.surfaces)
         points = np.concatenate(shown)
         low, high = points.min(axis=0), points.max(axis=0)
-        margin = 0.05 * float((high - low).max())
+        margin = max(0.05 * float((high - low).max()), 1.0)
         return np.stack([low - margin, high + margin], axis=1)
 
     def _enlargement(self) -> int:
