@@ -36,7 +36,7 @@ from estimator.arrays import BeamSet
 from estimator.errors import ConfigurationError
 from estimator.geometry import mirror
 from estimator.measurements import GaussianVrp
-from estimator.sensing.returns import EchoPursuit, PursuitConfig, Returns
+from estimator.sensing.returns import EchoPursuit, PursuitConfig, ReturnSet
 from estimator.waveform import OfdmGrid
 
 __all__ = ["Flash", "FlashConfig", "Verdict", "find_flashes", "flash_walls"]
@@ -196,7 +196,7 @@ def flash_walls(flashes: list[Flash]) -> tuple[GaussianVrp, ...]:
     return tuple(flash.vrp() for flash in flashes if flash.verdict is Verdict.WALL)
 
 
-def _candidates(returns: Returns, config: FlashConfig) -> list[Flash]:
+def _candidates(returns: ReturnSet, config: FlashConfig) -> list[Flash]:
     """Returns with the covariance claimed, none judged yet."""
     claimed = np.diag([config.range_std_m**2, config.azimuth_std_rad**2])
     return [

@@ -27,7 +27,7 @@ from estimator.channel.model import ToneCorrelator, dirichlet
 from estimator.errors import ConfigurationError, InputError
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
 
-__all__ = ["EchoPursuit", "PursuitConfig", "Returns"]
+__all__ = ["EchoPursuit", "PursuitConfig", "ReturnSet"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -88,7 +88,7 @@ class PursuitConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class Returns:
+class ReturnSet:
     """Returns of one sweep, the strongest first.
 
     Parameters
@@ -183,7 +183,7 @@ class EchoPursuit:
         least = mirror * 10.0 ** (self.config.min_reflectivity_db / 20.0) * grid.tones
         self._plausible = (norm[:, None] * least) ** 2
 
-    def find(self, echo: Complex, noise_variance: float) -> Returns:
+    def find(self, echo: Complex, noise_variance: float) -> ReturnSet:
         """Find the returns of one sweep.
 
         Parameters
@@ -195,7 +195,7 @@ class EchoPursuit:
 
         Returns
         -------
-        Returns
+        ReturnSet
 
         Raises
         ------
@@ -284,7 +284,7 @@ class EchoPursuit:
         cross = np.concatenate([-flat * slope, mixed * kernel], axis=1)
         corner = mixed * slope
         derivatives = np.block([[-flat * curvature, corner], [corner.conj().T, curved * kernel]])
-        gain = np.linalg.solve(atoms, z)
+        gain = np.asarray(np.linalg.solve(atoms, z), dtype=np.complex128)
         both = np.concatenate([gain, gain])
         projected = derivatives - cross.conj().T @ np.linalg.solve(atoms, cross)
         score = np.concatenate([z_turns, z_azimuth]) - cross.conj().T @ gain
@@ -322,7 +322,7 @@ class EchoPursuit:
         close = np.maximum(delays, azimuths) < 0.5
         return not np.any(close & ~np.eye(len(turns), dtype=bool))
 
-    def _returns(self, fit: _Fit, noise_variance: float) -> Returns:
+    def _returns(self, fit: _Fit, noise_variance: float) -> ReturnSet:
         count = len(fit.turns)
         scale = np.repeat([1.0 / self._turns_per_m, 1.0], count)
         bound = 0.5 * noise_variance * np.linalg.inv(fit.information) * scale * scale[:, None]
@@ -330,7 +330,7 @@ class EchoPursuit:
         distance = fit.turns / self._turns_per_m
         amplitude = np.abs(fit.gain)
         norm = np.linalg.norm(self.beams.two_way(fit.azimuth), axis=-1)
-        found = Returns(
+        found = ReturnSet(
             distance,
             _wrap(fit.azimuth),
             fit.gain,
