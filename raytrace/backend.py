@@ -53,6 +53,16 @@ _REMEDY_LLVM = (
 )
 _REMEDY_PACKAGES = "install the ray tracer: pip install 'hapslam[raytrace]'"
 _PROBE_SECONDS = 120.0
+_ASK_VERSION = """
+import ctypes, sys
+library = ctypes.CDLL(sys.argv[1])
+if hasattr(library, "LLVMGetVersion"):
+    numbers = [ctypes.c_uint() for _ in range(3)]
+    library.LLVMGetVersion(*map(ctypes.byref, numbers))
+    print(*(number.value for number in numbers), sep=".")
+else:
+    print("old")
+"""
 
 
 @dataclass(frozen=True)
@@ -265,29 +275,27 @@ def _system_llvms(folders: Sequence[str]) -> Iterator[tuple[Path, str]]:
 
 
 def _version_of(path: Path) -> str:
-    """Version of a libLLVM: asked from the library, in a subprocess, else read off its name.
+    """Version of a libLLVM, asked from the library in a subprocess.
 
-    The question, ``LLVMGetVersion``, exists since LLVM 16; a library that cannot
-    answer it and has no number in its name is reported as ``"unknown"``.
+    The question, ``LLVMGetVersion``, exists since LLVM 16; of a library that does not
+    know it the version is read off its name. ``"unusable"`` if it cannot be loaded.
     """
-    code = (
-        "import ctypes, sys; library = ctypes.CDLL(sys.argv[1]); n = [ctypes.c_uint() for _ in range(3)]; "
-        "library.LLVMGetVersion(*map(ctypes.byref, n)); print(*(i.value for i in n), sep='.')"
-    )
     try:
         done = subprocess.run(
-            [sys.executable, "-I", "-c", code, str(path)],
+            [sys.executable, "-I", "-c", _ASK_VERSION, str(path)],
             capture_output=True,
             text=True,
             timeout=30,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return "unknown"
-    if done.returncode == 0:
+        return "unusable"
+    if done.returncode or not done.stdout.strip():
+        return "unusable"
+    if done.stdout.strip() != "old":
         return done.stdout.strip()
     number = re.search(r"LLVM[-.a-z]*(\d+(?:\.\d+)*)", path.resolve().name)
-    return number.group(1) if number else "unknown"
+    return number.group(1) if number and _major(number.group(1)) < MINIMUM_LLVM else "older than 16"
 
 
 def _numbers(version: str) -> tuple[int, ...]:
@@ -295,7 +303,8 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def _major(version: str) -> int:
-    return (_numbers(version) or (0,))[0]
+    """Leading number of a version, 0 for one that starts with a word."""
+    return _numbers(version)[0] if version[:1].isdigit() else 0
 
 
 def _loaded_llvm() -> Path | None:
