@@ -21,6 +21,7 @@ from estimator.slam.features import reflect, wall_side
 __all__ = ["Candidates", "Centres", "PathBatch", "evidence_at", "images_of_agent", "locate"]
 
 Array = NDArray[np.float64]
+_SURE = 0.9  # association probability from which a label is believed
 _PRIOR = (0.9, 0.6, 0.2)  # that a path of 0, 1, 2 bounces can be heard
 _LOSS_MEAN_DB, _LOSS_STD_DB, _LOSS_RANGE_DB = 0.0, 2.5, 40.0  # direct paths; any path
 
@@ -329,7 +330,7 @@ def _weigh(
         association = associate(ratio[:, rows][:, :, columns])
         total = total + association.log_evidence
         share = association.probability
-        likely = share.max(axis=-1) > 0.5
+        likely = share.max(axis=-1) > _SURE
         label[:, rows] = np.where(likely, columns[np.argmax(share, axis=-1)], -1)
         heard[:, rows] = share.sum(axis=-1) > 0.5
     area = np.pi * config.region_m**2  # the prior, and Laplace's approximation of the integral

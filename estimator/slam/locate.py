@@ -42,10 +42,13 @@ def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfi
         Models.
     """
     for k in range(state.layout.anchors):
-        located = bool(state.rows.located[state.rows.best, k])
+        waiting = np.flatnonzero(~state.rows.located[:, k])
+        located = waiting.size == 0
         if located and not _doubtful(state, k, config):
             continue
-        centres, batch, walls = _gather(state, paths, k, located, config)
+        rows = np.array([state.rows.best]) if located else waiting
+        first = int(rows[np.argmax(state.rows.log_weight[rows])])
+        centres, batch, walls = _gather(state, paths, k, first, config)
         found = locate(centres, batch, walls, config, np.array([state.epoch]))
         now = centres.epoch == state.epoch
         epochs = np.unique(batch.epoch).size
@@ -57,8 +60,8 @@ def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfi
             enough &= rival & (found.log_evidence > evidence_at(here, centres, batch, walls, config)[0])
         if enough.any():
             chosen = Candidates(*(getattr(found, entry.name)[enough] for entry in fields(found)))
-            rows = _fork(state, paths, k, chosen, centres, located, epochs > 1, config)
-            state = replace(state, rows=tidy(rows, config))
+            forked = _fork(state, paths, k, rows, chosen, centres, epochs > 1, config)
+            state = replace(state, rows=tidy(forked, config))
     return state
 
 
@@ -73,12 +76,12 @@ def _doubtful(state: GaussianState, k: int, config: GaussianConfig) -> bool:
 
 
 def _gather(
-    state: GaussianState, paths: PathTable, k: int, located: bool, config: GaussianConfig
+    state: GaussianState, paths: PathTable, k: int, row: int, config: GaussianConfig
 ) -> tuple[Centres, PathBatch, dict[int, Array]]:
     """Circles of anchor ``k``: this epoch's and, every fourth epoch, recent ones."""
-    layout, rows, best = state.layout, state.rows, state.rows.best
-    mean, covariance = rows.mean[best], rows.covariance[best]
-    slots = np.flatnonzero(rows.present[best] & state.slots.confirmed)
+    layout, rows = state.layout, state.rows
+    mean, covariance = rows.mean[row], rows.covariance[row]
+    slots = np.flatnonzero(rows.present[row] & state.slots.confirmed)
     walls = mean[layout.walls].reshape(-1, 2)[slots]
     spread = np.array([covariance[layout.wall(s), layout.wall(s)] for s in slots.tolist()])
     n = int(paths.valid[k].sum())
@@ -109,13 +112,13 @@ def _fork(
     state: GaussianState,
     paths: PathTable,
     k: int,
+    rows: NDArray[np.int64],
     found: Candidates,
     centres: Centres,
-    located: bool,
     windowed: bool,
     config: GaussianConfig,
 ) -> Rows:
-    """Rows without anchor ``k`` split into one row per candidate and one that waits on.
+    """``rows`` split into one row per candidate place of anchor ``k`` and one as it is.
 
     The candidates' own covariances are not believed: they come from walls held
     fixed. Each starts wide, and the labels found take this epoch's paths into the
@@ -123,12 +126,12 @@ def _fork(
     chose the place; their lengths are not used as information again.
     """
     layout = state.layout
-    waiting = np.array([state.rows.best]) if located else np.flatnonzero(~state.rows.located[:, k])
     count = len(found.mean_m)
-    candidate = np.tile(np.arange(count), len(waiting))
-    new = state.rows.take(np.repeat(waiting, count))
+    candidate = np.tile(np.arange(count), len(rows))
+    new = state.rows.take(np.repeat(rows, count))
     place = layout.anchor(k)
     xy = slice(place.start, place.start + 2)
+    located = bool(new.located[0, k])
     new.located[:, k] = True
     new.log_weight[...] += _RIVAL_LOG_PRIOR if located else found.log_evidence[candidate]
     new.mean[:, xy] = found.mean_m[candidate]
