@@ -45,7 +45,7 @@ def smoothed_track(
     """
     points = np.asarray(waypoints_m, dtype=np.float64)
     knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    arc = np.linspace(0.0, knots[-1], _FINE_STEPS)
+    arc = np.union1d(np.linspace(0.0, knots[-1], _FINE_STEPS), knots)
     half = np.minimum(0.5 * smoothing_m, np.minimum(arc, knots[-1] - arc))
     plain = _polyline(points, knots, arc)
     flat = half < 1e-6
@@ -57,8 +57,8 @@ def smoothed_track(
     needed = (epochs - 1) * step_m
     if needed > travelled[-1] + 1e-9:
         raise InputError(
-            f"epochs: expected at most {int(travelled[-1] / step_m) + 1} steps of {step_m:g} m on a track of "
-            f"{travelled[-1]:.2f} m, got {epochs}"
+            f"epochs: expected at most {int(travelled[-1] / step_m + 1e-9) + 1} positions {step_m:g} m apart "
+            f"on a track of {travelled[-1]:.2f} m, got {epochs}"
         )
     at = np.arange(epochs) * step_m
     return np.stack([np.interp(at, travelled, fine[:, axis]) for axis in range(2)], axis=-1)
