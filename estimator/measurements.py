@@ -165,6 +165,9 @@ class MeasurementSet:
         Where the dataset lies that these measurements came from: a path relative to
         the folder of the measurement file. ``evaluate`` and ``plot`` look for the truth
         there; nothing else follows it.
+    known_anchors_m : array_like, shape (K, 2), optional
+        Where the anchors are, estimator's frame, metres: for the methods that know
+        them. None says that nobody does.
     """
 
     anchors: tuple[str, ...]
@@ -173,8 +176,12 @@ class MeasurementSet:
     carrier_hz: float
     settings: Mapping[str, Any] = field(default_factory=dict)
     dataset: str | None = None
+    known_anchors_m: Array | None = None
 
     def __post_init__(self) -> None:
+        if self.known_anchors_m is not None:
+            places = _finite("known_anchors_m", self.known_anchors_m, (len(self.anchors), 2))
+            object.__setattr__(self, "known_anchors_m", places)
         for epoch in self.epochs:
             if len(epoch.paths) != len(self.anchors):
                 raise InputError(
@@ -205,8 +212,12 @@ def save_measurements(measurements: MeasurementSet, path: Path) -> None:
     dims = ("epoch", "anchor", "path")
     units = {"delay_s": "s", "delay_std_s": "s", "gain_db": "dB"}
     walls = measurements.walls
+    known = {}
+    if measurements.known_anchors_m is not None:
+        known["known_anchor_m"] = (("anchor", "xy"), measurements.known_anchors_m, {"units": "m"})
     data = xr.Dataset(
         {
+            **known,
             **{name: (dims, column, {"units": units[name]}) for name, column in columns.items()},
             "path_valid": (dims, valid, {"units": "1", "long_name": "1 where a path was measured"}),
             "time_s": ("epoch", np.array([epoch.time_s for epoch in epochs]), {"units": "s"}),
@@ -280,6 +291,7 @@ def load_measurements(path: Path) -> MeasurementSet:
             float(attributes["carrier_hz"]),
             json.loads(attributes["settings"]),
             attributes["dataset"] or None,
+            data["known_anchor_m"].values if "known_anchor_m" in data else None,
         )
     except KeyError as error:
         raise FileFormatError(f"{path}: expected the attribute {error}, it is missing") from error

@@ -130,6 +130,7 @@ def measure_scene(
     carrier_hz: float,
     config: SimulationConfig,
     rng: np.random.Generator,
+    know_anchors: bool = False,
 ) -> MeasurementSet:
     """Measurements of a run through a room: the first walls with variances, all epochs.
 
@@ -149,6 +150,8 @@ def measure_scene(
         Measurement model.
     rng : Generator
         Source of randomness.
+    know_anchors : bool
+        Whether the measurements say where the anchors are.
     """
     reference = np.asarray(track_m, dtype=np.float64)[0]
     sensed = len(wall_variances_m2)
@@ -166,4 +169,5 @@ def measure_scene(
         "height2_std_m2": 0.0,
     }
     settings = {"simulation": asdict(config), "measurement_model": model}
-    return MeasurementSet(names, walls, epochs, carrier_hz, settings)
+    places = np.asarray(anchors_m, dtype=np.float64).reshape(-1, 2) - reference if know_anchors else None
+    return MeasurementSet(names, walls, epochs, carrier_hz, settings, known_anchors_m=places)

@@ -30,10 +30,14 @@ class Association:
     log_evidence : ndarray, shape (...)
         Log of the sum over all associations of the product of their ratios
         (Bethe approximation).
+    message : ndarray, shape (..., F, M)
+        What measurement ``j`` tells feature ``f``: from 1, the pair is uncontested, to
+        0, others claim the measurement.
     """
 
     probability: Array
     log_evidence: Array
+    message: Array
 
 
 def associate(ratio: Array, iterations: int = 12) -> Association:
@@ -64,4 +68,4 @@ def associate(ratio: Array, iterations: int = 12) -> Association:
         + np.sum(np.log1p(np.sum(forth, axis=-2)), axis=-1)
         - np.sum(np.log1p(forth * back), axis=(-2, -1))
     )
-    return Association(weighted / total[..., None], log_evidence)
+    return Association(weighted / total[..., None], log_evidence, back)

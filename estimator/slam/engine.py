@@ -49,7 +49,9 @@ class Prior:
     @classmethod
     def of(cls, measurements: MeasurementSet) -> Prior:
         """The prior that a measurement set brings."""
-        return cls(measurements.anchors, measurements.walls, measurements.carrier_hz)
+        return cls(
+            measurements.anchors, measurements.walls, measurements.carrier_hz, measurements.known_anchors_m
+        )
 
 
 @runtime_checkable

@@ -191,3 +191,14 @@ def test_an_existing_file_is_kept(tmp_path: Path) -> None:
     with pytest.raises(OutputExistsError):
         save_measurements(measured(None), tmp_path / "m.nc")
     assert (tmp_path / "m.nc").read_bytes() == before
+
+
+def test_known_anchors_travel_with_the_measurements(tmp_path: Path) -> None:
+    """Where the anchors are comes back, is absent where nobody knows it, and must fit the names."""
+    places = np.array([[58.0, -9.0], [32.0, 21.0]])
+    save_measurements(replace(measured(), known_anchors_m=places), tmp_path / "known.nc")
+    np.testing.assert_array_equal(load_measurements(tmp_path / "known.nc").known_anchors_m, places)
+    save_measurements(measured(), tmp_path / "unknown.nc")
+    assert load_measurements(tmp_path / "unknown.nc").known_anchors_m is None
+    with pytest.raises(InputError, match="known_anchors_m: expected shape"):
+        replace(measured(), known_anchors_m=places[:1])
