@@ -306,7 +306,7 @@ def _errors(track: Array, truth: Array) -> Iterator[tuple[Array, str, float, str
         (distances(track, truth), _AGENT, 1.6, "error"),
         (distances(turned, truth), _INK, 1.0, "rotation removed"),
     ):
-        yield error, colour, width, f"{name} (mean {error.mean():.2f} m)"
+        yield error, colour, width, f"{name} (mean {error.mean():.3f} m)"
 
 
 def _births(result: SlamResult) -> Iterator[tuple[int, int, float]]:

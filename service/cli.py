@@ -109,8 +109,7 @@ def demo(
     if as_json:
         _print_json(numbers)
     else:
-        print_evaluation(numbers, Console())
-        print_line(f"picture    {folder / 'map.png'}")
+        print_evaluation(numbers, Console(), picture=folder / "map.png")
 
 
 @app.command(epilog=_examples("trace l-room --out room", "trace my-plan.toml --out mine --seed 7"))

@@ -11,13 +11,13 @@ from rich.table import Table
 __all__ = ["print_evaluation"]
 
 
-def print_evaluation(numbers: Mapping[str, Any], console: Console) -> None:
-    """Print what :func:`estimator.evaluation.evaluate` gives, and ``seconds`` by stage if there."""
+def print_evaluation(numbers: Mapping[str, Any], console: Console, **more: object) -> None:
+    """Print what :func:`estimator.evaluation.evaluate` gives, ``seconds`` by stage if there, and ``more``."""
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
-    for name, value in _rows(numbers):
-        table.add_row(name, value)
+    for name, value in [*_rows(numbers), *more.items()]:
+        table.add_row(name, str(value))
     console.print(table)
 
 

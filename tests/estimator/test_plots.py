@@ -37,7 +37,7 @@ def test_the_picture_shows_estimates_and_truth(make_result: Make, truth: xr.Data
     lines = {line.get_label(): line.get_xydata() for line in upper.get_lines()}
     np.testing.assert_allclose(lines["track, true"], truth["track_m"].values[:, :2])
     np.testing.assert_allclose(lines["track, estimated"], truth["track_m"].values[:, :2], atol=1e-9)
-    assert any("error (mean 0.00 m)" in label for label in labels(lower))
+    assert any("error (mean 0.000 m)" in label for label in labels(lower))
 
 
 def test_estimated_walls_lie_on_the_true_ones(make_result: Make, truth: xr.Dataset) -> None:
