@@ -1,7 +1,7 @@
 """A dataset from a floor plan: trace, sum, add noise, write.
 
-The noise of the passive channels and of the echo come from separate streams of one
-seed; everything else has no chance in it. Equal plans and seeds give equal bytes.
+The noise of the passive channels and of the echo, timing jitter and calibration errors
+come from separate streams of one seed; everything else has no chance in it. Equal plans and seeds give equal bytes.
 What the estimator may read (channels, beams) and the truth (plan, anchors, track)
 go to different files; see :mod:`estimator.dataset` for the layout.
 """
@@ -25,6 +25,7 @@ from raytrace.backend import prepare
 from raytrace.channel import add_noise, channel_response
 from raytrace.echo import EchoSweep, sweep_echo
 from raytrace.floorplan import FloorPlan
+from raytrace.impairments import jitter, miscalibrate
 from raytrace.links import Echo, Radio
 from raytrace.passive import TraceReport, trace_passive
 from raytrace.scattering import diffuse_response
@@ -84,7 +85,8 @@ def generate(plan: FloorPlan, out: Path, seed: int, progress: Progress | None = 
         raise FileFormatError(f"{out}: expected an existing folder {out.parent}, there is none")
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigurationError(f"seed: expected an integer of at least 0, got {seed!r}")
-    passive_rng, echo_rng = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
+    streams = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4))
+    passive_rng, echo_rng, timing_rng, calibration_rng = streams
     stages = _Stages(progress)
 
     with stages("scene"):
@@ -99,11 +101,20 @@ def generate(plan: FloorPlan, out: Path, seed: int, progress: Progress | None = 
         if plan.scatters:
             diffuse, diffuse_paths = diffuse_response(plan, radio)
             response = response + diffuse
+        response = jitter(response, plan.radio.grid(), plan.radio.timing_jitter_s, timing_rng)
         received = add_noise(response, plan.radio.noise_variance(), passive_rng)
     with stages("echo"):
         same = plan.echo.carrier_hz == plan.radio.carrier_hz
         sweep = sweep_echo(plan, radio if same else None)
-        heard = add_noise(sweep.response, plan.echo.noise_variance(), echo_rng)
+        response = miscalibrate(
+            sweep.response,
+            plan.echo.grid(),
+            plan.echo.gain_error_db,
+            float(np.deg2rad(plan.echo.phase_error_deg)),
+            plan.echo.range_error_m,
+            calibration_rng,
+        )
+        heard = add_noise(response, plan.echo.noise_variance(), echo_rng)
     with stages("write"):
         writer = DatasetWriter(out, _manifest(plan, seed, choice.version))
         writer.write("passive", "passive-00000.nc", passive_shard(plan, received))

@@ -60,9 +60,13 @@ class _Signal(Part):
 
 
 class Radio(_Signal):
-    """The passive link: every anchor sends pilots, the agent receives."""
+    """The passive link: every anchor sends pilots, the agent receives.
+
+    ``timing_jitter_s`` is the standard deviation of the timing error of each CFR.
+    """
 
     eirp_dbm: Finite = 26.0
+    timing_jitter_s: NonNegative = 0.0
     agent_array: AgentArray = AgentArray()
 
     def noise_variance(self) -> float:
@@ -103,6 +107,8 @@ class Echo(_Signal):
     scatter, diffuse ones from ``diffuse_samples`` rays; ``radar-equation`` is the
     paper's (7) on traced hits, with radar cross section ``gamma cos^(2 eta)`` of the
     angle of incidence, on ``fan_rays`` rays all around (0: pencil beams, as the paper).
+    ``gain_error_db`` and ``phase_error_deg`` are the standard deviations of each beam's
+    two-way calibration error, ``range_error_m`` that of the front end's delay.
     """
 
     symbols: Count = 14
@@ -114,6 +120,9 @@ class Echo(_Signal):
     eta: NonNegative = 0.2
     fan_rays: Annotated[int, Field(ge=0, le=100_000)] = 1440
     diffuse_samples: Annotated[int, Field(ge=100, le=1_000_000)] = 20_000
+    gain_error_db: NonNegative = 0.0
+    phase_error_deg: NonNegative = 0.0
+    range_error_m: NonNegative = 0.0
     beams: Beams = Beams()
     sweep_epochs: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1, strict=False)] = (0,)
 
