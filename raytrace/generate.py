@@ -1,9 +1,9 @@
 """A dataset from a floor plan: trace, sum, add noise, write.
 
 The noise of the passive channels and of the echo, timing jitter and calibration errors
-come from separate streams of one seed; everything else has no chance in it. Equal plans and seeds give equal bytes.
-What the estimator may read (channels, beams) and the truth (plan, anchors, track)
-go to different files; see :mod:`estimator.dataset` for the layout.
+come from separate streams of one seed; everything else has no chance in it. Equal plans
+and seeds give equal bytes. What the estimator may read (channels, beams) and the truth
+(plan, anchors, track) go to different files; see :mod:`estimator.dataset` for the layout.
 """
 
 from __future__ import annotations

@@ -61,6 +61,20 @@ def solve(
     PathList
         In no particular order.
     """
+    paths = _sionna_paths(radio, source_m, targets_m, depth, samples, los, diffuse, most_paths)
+    return _path_list(radio, paths, depth)
+
+
+def _sionna_paths(
+    radio: RadioScene,
+    source_m: NDArray[np.float64],
+    targets_m: NDArray[np.float64],
+    depth: int,
+    samples: int,
+    los: bool,
+    diffuse: bool,
+    most_paths: int,
+) -> Any:
     import sionna.rt as rt
 
     scene = radio.scene
@@ -70,7 +84,7 @@ def solve(
     scene.tx_array = _array(source_m[None] / wavelength)
     scene.rx_array = _array(targets_m / wavelength)
     scene.add([rt.Transmitter("source", [0.0, 0.0, 0.0]), rt.Receiver("targets", [0.0, 0.0, 0.0])])
-    paths = rt.PathSolver()(
+    return rt.PathSolver()(
         scene,
         max_depth=depth,
         samples_per_src=samples,
@@ -82,7 +96,6 @@ def solve(
         refraction=False,
         seed=_SEED,
     )
-    return _path_list(radio, paths, depth)
 
 
 def _array(positions: NDArray[np.float64]) -> Any:
