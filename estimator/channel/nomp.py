@@ -20,9 +20,12 @@ the number of tones. All channels of a batch advance together: in round k each c
 in work has k paths.
 
 *Variance.* Each delay gets the Cramer-Rao bound of all found paths together, with
-unknown gains. The noise in it is the larger of the known noise and the level of the residual
-around the path, since what was not resolved acts on a path like noise of that level. A
-floor, for what the model leaves out, is added.
+unknown gains, and two terms for what was not resolved, both from the level of the residual around
+the path. Energy there acts on the path like noise of that level. And where it exceeds the noise, there
+are more images than were told apart, some of them inside the path's own resolution cell: an
+image of relative amplitude ``a`` and distance ``d`` (in cells) displaces the path by about
+``a d`` and leaves a residual of relative amplitude ``e`` of about ``1.5 a d^2``. An excess ``e`` thus
+tells of displacements of the order of ``sqrt(e)`` cells, which is what is claimed. A floor is added.
 """
 
 from __future__ import annotations
@@ -47,6 +50,7 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _NEIGHBOURHOOD_CELLS = np.array([-2.0, -1.0, 1.0, 2.0])  # where the residual's level is taken
+_SIGNIFICANT_LEVEL = 3.0  # of the residual, over the noise: four standard deviations of its mean
 
 
 @dataclass(frozen=True)
@@ -84,7 +88,7 @@ class NompConfig:
     margin_db: float = 6.0
     max_paths: int = 40
     closest_cells: float = 0.1
-    floor_m: float = 0.05
+    floor_m: float = 0.01
     oversampling: int = 4
     newton_steps: int = 3
     cycles: int = 1
@@ -247,9 +251,12 @@ class NompPlan:
         around = fit.turns[:, :, None] + _NEIGHBOURHOOD_CELLS / self.grid.tones
         blocks = self._correlator.split(fit.residual(self._correlator))
         z = self._correlator.correlate(blocks, around.reshape(len(around), -1))[0]
+        noise = fit.noise_variance[:, None]
         level = np.mean(np.abs(z.reshape(around.shape)) ** 2, axis=2) / self.grid.tones
-        interference = np.maximum(1.0, level / fit.noise_variance[:, None])
-        return np.asarray(bound * interference + (self.config.floor_m / SPEED_OF_LIGHT_M_S) ** 2)
+        excess = np.maximum(0.0, level - _SIGNIFICANT_LEVEL * noise) / self.grid.tones
+        unresolved = np.sqrt(excess) / np.abs(fit.gain) * self.grid.resolution_s**2
+        floor = (self.config.floor_m / SPEED_OF_LIGHT_M_S) ** 2
+        return np.asarray(bound * np.maximum(1.0, level / noise) + unresolved + floor)
 
     def _report(self, fit: Fit) -> Iterator[tuple[int, DelayEstimate]]:
         """Estimates by channel: paths in the dynamic range, sorted, delays in the first turn."""
