@@ -78,8 +78,8 @@ class FlashConfig:
         Settings of the pursuit of returns.
     """
 
-    range_std_m: float = 0.05
-    azimuth_std_rad: float = float(np.deg2rad(0.15))
+    range_std_m: float = 0.04
+    azimuth_std_rad: float = float(np.deg2rad(0.12))
     min_reflectivity_db: float = -20.0
     max_reflectivity_db: float = 3.0
     same_direction_rad: float = float(np.deg2rad(4.0))

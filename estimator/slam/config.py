@@ -73,7 +73,7 @@ class GaussianConfig:
         Hypotheses kept.
     """
 
-    range_std_m: float = 0.08
+    range_std_m: float = 0.02
     detection_probability: float = 0.95
     clutter_mean: float = 3.0
     region_m: float = 180.0
