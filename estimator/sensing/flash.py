@@ -17,7 +17,7 @@ taken in order of strength, and one is rejected if
   ``sqrt(r_a^2 + r_b^2)``, and between parallel walls from ``r_a + r_b``.
 
 Returns that make one flash (floor and ceiling add images a little farther than the wall's own) are
-joined by power.
+joined by power, and their spread is added to the covariance.
 
 *Covariance.* The Cramer-Rao bound is centimetres at most; errors of beams, and images not
 resolved, are larger. What is claimed on top of the bound is :attr:`FlashConfig.range_std_m` and
@@ -26,7 +26,7 @@ resolved, are larger. What is claimed on top of the bound is :attr:`FlashConfig.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -42,6 +42,8 @@ from estimator.waveform import OfdmGrid
 __all__ = ["Flash", "FlashConfig", "Verdict", "find_flashes", "flash_walls"]
 
 Real = NDArray[np.float64]
+
+_JOINED_CELLS = 1.5  # returns of one direction closer in range are one flash
 
 
 class Verdict(Enum):
@@ -177,17 +179,9 @@ def find_flashes(
     settings = FlashConfig() if config is None else config
     pursuit = EchoPursuit(grid, beams, settings.pursuit)
     flashes: list[Flash] = []
-    for candidate in _candidates(pursuit.find(echo, noise_variance), settings):
-        verdict = _judge(candidate, [f for f in flashes if f.verdict is Verdict.WALL], settings, pursuit)
-        flashes.append(
-            Flash(
-                candidate.range_m,
-                candidate.azimuth_rad,
-                candidate.reflectivity_db,
-                candidate.covariance,
-                verdict,
-            )
-        )
+    for candidate in _candidates(pursuit.find(echo, noise_variance), settings, pursuit.range_cell_m):
+        walls = [flash for flash in flashes if flash.verdict is Verdict.WALL]
+        flashes.append(replace(candidate, verdict=_judge(candidate, walls, settings, pursuit.range_cell_m)))
     return flashes
 
 
@@ -196,22 +190,36 @@ def flash_walls(flashes: list[Flash]) -> tuple[GaussianVrp, ...]:
     return tuple(flash.vrp() for flash in flashes if flash.verdict is Verdict.WALL)
 
 
-def _candidates(returns: ReturnSet, config: FlashConfig) -> list[Flash]:
-    """Returns with the covariance claimed, none judged yet."""
+def _candidates(returns: ReturnSet, config: FlashConfig, range_cell_m: float) -> list[Flash]:
+    """Returns joined to flashes, with the covariance claimed, none judged yet."""
     claimed = np.diag([config.range_std_m**2, config.azimuth_std_rad**2])
-    return [
-        Flash(
-            float(returns.range_m[i]),
-            float(returns.azimuth_rad[i]),
-            float(returns.reflectivity_db[i]),
-            returns.covariance[i] + claimed,
-            Verdict.WALL,
+    free = np.ones(len(returns), dtype=bool)
+    flashes: list[Flash] = []
+    for strongest in range(len(returns)):
+        if not free[strongest]:
+            continue
+        turned = np.angle(np.exp(1j * (returns.azimuth_rad - returns.azimuth_rad[strongest])))
+        near = np.abs(returns.range_m - returns.range_m[strongest]) < _JOINED_CELLS * range_cell_m
+        members = free & near & (np.abs(turned) < config.same_direction_rad)
+        free &= ~members
+        weight = members * 10.0 ** (0.1 * (returns.power_db - returns.power_db[strongest]))
+        weight = weight / np.sum(weight)
+        places = np.stack([returns.range_m, turned], axis=1)
+        center = weight @ places
+        spread = (weight[:, None] * (places - center)).T @ (places - center)
+        flashes.append(
+            Flash(
+                float(center[0]),
+                float(np.angle(np.exp(1j * (returns.azimuth_rad[strongest] + center[1])))),
+                float(returns.reflectivity_db[strongest]),
+                returns.covariance[strongest] + spread + claimed,
+                Verdict.WALL,
+            )
         )
-        for i in range(len(returns))
-    ]
+    return flashes
 
 
-def _judge(candidate: Flash, walls: list[Flash], config: FlashConfig, pursuit: EchoPursuit) -> Verdict:
+def _judge(candidate: Flash, walls: list[Flash], config: FlashConfig, range_cell_m: float) -> Verdict:
     """What a candidate is, given the stronger walls."""
     low, high = config.min_reflectivity_db, config.max_reflectivity_db
     if not low <= candidate.reflectivity_db <= high:
@@ -220,7 +228,7 @@ def _judge(candidate: Flash, walls: list[Flash], config: FlashConfig, pursuit: E
         weaker_db = wall.reflectivity_db - candidate.reflectivity_db
         if _azimuth_between(candidate.azimuth_rad, wall.azimuth_rad) < config.same_direction_rad:
             return Verdict.BEHIND
-        same_range = abs(candidate.range_m - wall.range_m) < pursuit.range_cell_m
+        same_range = abs(candidate.range_m - wall.range_m) < range_cell_m
         if same_range and weaker_db > config.sidelobe_db:
             return Verdict.SIDELOBE
         height = candidate.range_m * float(candidate.direction @ wall.direction) - wall.range_m
