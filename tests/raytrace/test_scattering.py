@@ -1,0 +1,112 @@
+"""Diffuse power against the integral over a Lambertian wall."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimator.waveform import SPEED_OF_LIGHT_M_S
+from raytrace.channel import channel_response
+from raytrace.floorplan import FloorPlan, parse_floorplan
+from raytrace.materials import permittivity, slab_reflection
+from raytrace.passive import TraceReport
+from raytrace.paths import PathSet
+from raytrace.scattering import diffuse_response
+from raytrace.scene import RadioScene, build_scene
+from raytrace.solver import solve
+
+Traced = tuple[FloorPlan, RadioScene, PathSet, TraceReport]
+
+SCATTERING = 0.4
+
+
+def one_rough_wall() -> FloorPlan:
+    corners = [(0.0, 0.0), (10.0, 0.0), (10.0, 8.0), (0.0, 8.0)]
+    walls = [
+        {
+            "name": f"w{i}",
+            "from_m": corners[i],
+            "to_m": corners[(i + 1) % 4],
+            "material": "concrete" if i == 0 else "glass",
+        }
+        for i in range(4)
+    ]
+    return parse_floorplan(
+        {
+            "format": "hapslam-floorplan",
+            "version": 1,
+            "name": "rough",
+            "walls": walls,
+            "scattering": {"concrete": SCATTERING},
+            "anchors": [{"name": "pa1", "position_m": (3.0, 4.0, 2.5)}],
+            "agent": {"waypoints_m": [(6.0, 3.0), (6.0, 5.0)], "smoothing_m": 0.0, "epochs": 3},
+        }
+    )
+
+
+def lambertian_gain(plan: FloorPlan, agent: np.ndarray) -> float:
+    """Power gain over the wall y = 0 by quadrature.
+
+    An element dA returns ``S^2 |Gamma|^2 cos(in) cos(out) dA / (pi r1^2 r2^2)`` of what
+    free space would give at unit distance; vertical polarisation is kept.
+    """
+    x, dx = np.linspace(0.0, 10.0, 2001, retstep=True)
+    z, dz = np.linspace(0.0, 3.0, 601, retstep=True)
+    x, z = (0.5 * (a[1:] + a[:-1]) for a in (x, z))
+    points = np.stack(np.broadcast_arrays(x[:, None], 0.0, z[None]), axis=-1)
+    anchor = plan.anchors_m()[0]
+    first, second = points - anchor, agent - points
+    r1, r2 = np.linalg.norm(first, axis=-1), np.linalg.norm(second, axis=-1)
+    cosine_in, cosine_out = -first[..., 1] / r1, second[..., 1] / r2
+    te, tm = slab_reflection(cosine_in, permittivity("concrete", 28e9), 0.2, 28e9)
+    # The share of a vertically polarised field that lies across the plane of incidence.
+    direction = first / r1[..., None]
+    vertical = np.array([0.0, 0.0, 1.0]) - direction[..., 2:] * direction
+    vertical /= np.linalg.norm(vertical, axis=-1, keepdims=True)
+    across = np.cross(direction, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    share = np.sum(across * vertical, axis=-1) ** 2
+    reflected = share * np.abs(te) ** 2 + (1 - share) * np.abs(tm) ** 2
+    density = SCATTERING**2 * reflected * cosine_in * cosine_out / (np.pi * r1**2 * r2**2)
+    wavelength = SPEED_OF_LIGHT_M_S / 28e9
+    return float((wavelength / (4 * np.pi)) ** 2 * density.sum() * dx * dz)
+
+
+def test_diffuse_power_is_lamberts() -> None:
+    """The summed power of diffuse paths equals the integral, within the sampling error of the rays."""
+    plan = one_rough_wall()
+    radio = build_scene(plan, plan.radio.carrier_hz)
+    agent = plan.track()[1]
+    paths = solve(radio, plan.anchors_m()[0], agent[None], depth=1, samples=40_000, los=False, diffuse=True)
+    power = np.abs(paths.amplitude) ** 2
+    expected = lambertian_gain(plan, agent)
+    # An even lattice of rays is better than independent draws, whose standard error this is.
+    error = np.std(power) * np.sqrt(len(power))
+    assert (power > 0).sum() > 1000
+    assert error < 0.03 * expected
+    assert abs(power.sum() - expected) < 3 * error
+
+
+def test_response_is_the_sum_of_the_paths() -> None:
+    """The batched response holds for every epoch the sum of that epoch's diffuse paths."""
+    plan = one_rough_wall().updated({"tracing.diffuse_samples": 500})
+    radio = build_scene(plan, plan.radio.carrier_hz)
+    response, count = diffuse_response(plan, radio)
+    assert response.shape == (3, 1, 1, 819)
+    total = 0
+    for epoch, place in enumerate(plan.track()):
+        paths = solve(radio, plan.anchors_m()[0], place[None], depth=1, samples=500, los=False, diffuse=True)
+        alone = channel_response(PathSet.build(paths, 1, 1), plan.radio.grid())[0, 0, 0]
+        np.testing.assert_allclose(response[epoch, 0, 0], alone, atol=1e-3 * np.abs(alone).max())
+        total += len(paths)
+    assert total == count
+
+
+def test_places_stay_where_they_are(hard_room: Traced) -> None:
+    """The scattering places are the same at every epoch: neighbouring channels are alike in power."""
+    plan, radio, _, _ = hard_room
+    near = plan.updated({"agent.epochs": 40, "tracing.diffuse_samples": 500})
+    response, _ = diffuse_response(near, radio)
+    assert response.shape[0] == 40  # more than one batch, the last one filled up
+    power = np.mean(np.abs(response) ** 2, axis=(2, 3))
+    assert np.all(power > 0)
+    assert np.median(np.abs(10 * np.log10(power[1:] / power[:-1]))) < 3.0
