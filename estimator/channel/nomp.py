@@ -88,7 +88,7 @@ class NompConfig:
     margin_db: float = 6.0
     max_paths: int = 40
     closest_cells: float = 0.1
-    floor_m: float = 0.01
+    floor_m: float = 0.03
     oversampling: int = 4
     newton_steps: int = 3
     cycles: int = 1
