@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from typing import Any
 
 import numpy as np
@@ -11,49 +11,71 @@ import numpy as np
 from estimator.errors import ConfigurationError
 from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
+from estimator.slam import methods
 from estimator.slam.config import GaussianConfig
 from estimator.slam.engine import Engine, GaussianEngine, Prior, epoch_rng
 from estimator.slam.estimate import Estimate
+from estimator.slam.particle import ParticleEngine
+from estimator.slam.particle_config import ParticleConfig
 
 __all__ = ["ENGINES", "METHODS", "config_for", "engine_for", "run_slam"]
 
-METHODS = ("hybrid",)
-ENGINES = ("gaussian",)
+METHODS = tuple(methods.METHODS)
+ENGINES = ("gaussian", "particle")
+Config = GaussianConfig | ParticleConfig
+_CONFIGS: Mapping[str, type[Config]] = {"gaussian": GaussianConfig, "particle": ParticleConfig}
 
 
-def config_for(measurements: MeasurementSet, base: GaussianConfig | None = None) -> GaussianConfig:
+def config_for(measurements: MeasurementSet, base: Config | None = None, engine: str = "gaussian") -> Config:
     """The configuration that fits the measurements.
 
     What produced them may state its noise in ``settings["measurement_model"]`` (a
-    mapping of :class:`GaussianConfig` fields); the rest is ``base`` or the default.
+    mapping of :class:`GaussianConfig` fields, of which an engine takes those it has);
+    the rest is ``base`` or the default.
+
+    Parameters
+    ----------
+    measurements : MeasurementSet
+        Measurements of a run.
+    base : GaussianConfig or ParticleConfig, optional
+        Values that the measurements do not state; names the engine too.
+    engine : str
+        The engine to configure without ``base``.
 
     Raises
     ------
     ConfigurationError
-        If the mapping names an unknown field or a value out of range.
+        If the engine is unknown, or the mapping names an unknown field or a value out
+        of range.
     """
-    stated: Mapping[str, Any] = measurements.settings.get("measurement_model", {})
-    try:
-        return replace(base or GaussianConfig(), **stated)
-    except TypeError as error:
-        raise ConfigurationError(
-            f"measurement_model: expected fields of GaussianConfig, got {dict(stated)}"
-        ) from error
-
-
-def engine_for(method: str, engine: str, config: GaussianConfig) -> Engine:
-    """The engine that runs ``method``.
-
-    Raises
-    ------
-    ConfigurationError
-        If the method or the engine is unknown.
-    """
-    if method not in METHODS:
-        raise ConfigurationError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
-    if engine not in ENGINES:
+    if engine not in _CONFIGS:
         raise ConfigurationError(f"engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
-    return GaussianEngine(config)
+    stated: Mapping[str, Any] = measurements.settings.get("measurement_model", {})
+    base = _CONFIGS[engine]() if base is None else base
+    names = {entry.name for entry in fields(GaussianConfig)}
+    if not names.issuperset(stated):
+        raise ConfigurationError(f"measurement_model: expected fields of GaussianConfig, got {dict(stated)}")
+    own = {entry.name for entry in fields(base)}
+    return replace(base, **{name: value for name, value in stated.items() if name in own})
+
+
+def engine_for(method: str, engine: str, config: Config) -> Engine:
+    """The engine that runs ``method``; :data:`estimator.slam.methods.PAIRS` lists what there is.
+
+    Raises
+    ------
+    ConfigurationError
+        If the method or the engine is unknown, the engine cannot run the method, or the
+        configuration is another engine's.
+    """
+    chosen = methods.method_for(method, engine)
+    if isinstance(config, ParticleConfig) and engine == "particle":
+        return ParticleEngine(config, chosen)
+    if isinstance(config, GaussianConfig) and engine == "gaussian":
+        return GaussianEngine(config)
+    raise ConfigurationError(
+        f"config: expected a {_CONFIGS[engine].__name__} for engine {engine}, got a {type(config).__name__}"
+    )
 
 
 def run_slam(
@@ -61,7 +83,7 @@ def run_slam(
     method: str = "hybrid",
     engine: str = "gaussian",
     seed: int = 0,
-    config: GaussianConfig | None = None,
+    config: Config | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> SlamResult:
     """Run SLAM over all epochs.
@@ -71,12 +93,14 @@ def run_slam(
     measurements : MeasurementSet
         Walls sensed at the start and epochs of paths.
     method : str
-        What is known and sensed: ``"hybrid"`` (nothing known, active and passive sensing).
+        What is known and sensed (:mod:`estimator.slam.methods`): ``"hybrid"`` (nothing known,
+        active and passive sensing), ``"va"``, ``"mva"``, ``"passive"`` or ``"active"``.
     engine : str
-        How inference is done: ``"gaussian"``.
+        How inference is done: ``"gaussian"`` (joint, consistent) or ``"particle"`` (belief
+        propagation as published).
     seed : int
         Seed of engines that draw random numbers; recorded in the result.
-    config : GaussianConfig, optional
+    config : GaussianConfig or ParticleConfig, optional
         Models and limits; by default those that fit the measurements.
     progress : callable, optional
         Called with (epochs done, epochs in all).
@@ -88,11 +112,12 @@ def run_slam(
     Raises
     ------
     ConfigurationError
-        If the method or the engine is unknown.
+        If the method or the engine is unknown, or there is no such pair.
     InputError
-        If the measurements hold no wall, no anchor or no epoch.
+        If the measurements lack what the method needs: an epoch, an anchor, a wall, or
+        for ``va`` and ``mva`` the anchors' positions.
     """
-    config = config_for(measurements) if config is None else config
+    config = config_for(measurements, engine=engine) if config is None else config
     chosen = engine_for(method, engine, config)
     state = chosen.start(Prior.of(measurements), epoch_rng(seed, -1))
     estimates: list[Estimate] = []

@@ -1,0 +1,103 @@
+"""What is known and sensed: the published methods as configurations of one engine.
+
+========  ==============  =============  ==========  ======================================
+method    anchors         walls at start paths       features
+========  ==============  =============  ==========  ======================================
+hybrid    unknown         active sensing heard       walls (VRPs), common to all anchors
+mva       known           none           heard       walls (VRPs), common to all anchors
+va        known           none           heard       virtual anchors, each anchor its own
+passive   up to rotation  none           heard       virtual anchors, each anchor its own
+active    not needed      active sensing ignored     walls (VRPs)
+========  ==============  =============  ==========  ======================================
+
+``mva`` follows E. Leitinger, A. Venus, B. Teague, F. Meyer, "Data fusion for multipath-based
+SLAM: combining information from multiple propagation paths", IEEE Trans. Signal Process. 71,
+2023; ``va`` and ``passive`` follow E. Leitinger, F. Meyer, F. Hlawatsch, K. Witrisal, F.
+Tufvesson, M. Z. Win, "A belief propagation algorithm for multipath-based SLAM", IEEE Trans.
+Wireless Commun. 18(12), 2019, the latter without the anchors' positions (Fig. 11 (a), (c)).
+
+``passive`` knows every anchor's distance from the start (the shortest path) and nothing of
+its bearing. Delays alone leave the whole map free to turn about RP and to be mirrored, so
+the first anchor is put on a bearing drawn at random and all else follows from it: the
+result is right up to that rotation, and may be a mirror image.
+
+``active`` hears nothing after the first epoch. Its walls stay as they were sensed and the
+agent is where the motion model takes it: with a velocity that nobody measured, the expected
+position stays at the start and its covariance grows. It is the floor that shows what paths
+are worth, not a navigation method; repeated beam sweeps would make it one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from estimator.errors import ConfigurationError
+
+__all__ = ["METHODS", "PAIRS", "Method", "method_for"]
+
+
+@dataclass(frozen=True)
+class Method:
+    """What a method knows and senses.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    anchors : {"unknown", "known", "ring"}
+        What is known of the anchors at the start: nothing, their positions, or their
+        distance by the shortest path.
+    walls : bool
+        Whether walls sensed at the start are used.
+    paths : bool
+        Whether paths are heard.
+    shared : bool
+        Whether features are walls common to all anchors (VRPs, equal to master virtual
+        anchors) or virtual anchors of each anchor.
+    """
+
+    name: str
+    anchors: Literal["unknown", "known", "ring"]
+    walls: bool
+    paths: bool
+    shared: bool
+
+
+METHODS = {
+    method.name: method
+    for method in (
+        Method("hybrid", "unknown", walls=True, paths=True, shared=True),
+        Method("va", "known", walls=False, paths=True, shared=False),
+        Method("mva", "known", walls=False, paths=True, shared=True),
+        Method("passive", "ring", walls=False, paths=True, shared=False),
+        Method("active", "unknown", walls=True, paths=False, shared=True),
+    )
+}
+PAIRS = (
+    ("hybrid", "gaussian"),
+    ("hybrid", "particle"),
+    ("va", "particle"),
+    ("mva", "particle"),
+    ("passive", "particle"),
+    ("active", "particle"),
+)
+
+
+def method_for(method: str, engine: str) -> Method:
+    """The method, if the engine can run it.
+
+    Raises
+    ------
+    ConfigurationError
+        If the method or the engine is unknown, or there is no such pair; says what exists.
+    """
+    engines = sorted({pair[1] for pair in PAIRS})
+    if method not in METHODS:
+        raise ConfigurationError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+    if engine not in engines:
+        raise ConfigurationError(f"engine: expected one of {', '.join(engines)}, got {engine!r}")
+    if (method, engine) not in PAIRS:
+        able = ", ".join(name for name, other in PAIRS if other == engine)
+        raise ConfigurationError(f"method: expected one of {able} with engine {engine}, got {method!r}")
+    return METHODS[method]
