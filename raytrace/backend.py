@@ -18,6 +18,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module, metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +154,8 @@ def prepare() -> LlvmChoice:
     try:
         drjit = import_module("drjit")
         mitsuba = import_module("mitsuba")
+        if find_spec("sionna") is None:
+            raise ImportError("No module named 'sionna'")
     except ImportError as error:
         raise BackendError(
             f"ray tracer: expected Mitsuba and Sionna RT, cannot import them ({error}); {_REMEDY_PACKAGES}"

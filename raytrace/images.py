@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 # What meets a surface's rim to within this is taken to meet it.
 _RIM_M = 1e-6
+# Pairs of a position and a sequence of surfaces looked at together: bounds the memory.
+_ROWS = 500_000
 # Fraction of a leg ignored at either end when it is tested for obstacles: it starts on a surface.
 _TIP = 1e-9
 
@@ -139,10 +141,13 @@ def _paths_of_order(
     rim_m: float,
 ) -> PathList:
     sequences = _sequences(len(surfaces), order)
-    epoch, row, vertices = _unfold(surfaces, positions, anchor, sequences, rim_m)
-    hit = sequences[row]
-    clear = ~np.any(_blocked(surfaces, vertices[:, :-1], vertices[:, 1:]), axis=1)
-    epoch, hit, vertices = epoch[clear], hit[clear], vertices[clear]
+    block = max(1, _ROWS // max(1, len(sequences)))
+    parts = []
+    for first in range(0, len(positions), block):
+        epoch, row, vertices = _unfold(surfaces, positions[first : first + block], anchor, sequences, rim_m)
+        clear = ~np.any(_blocked(surfaces, vertices[:, :-1], vertices[:, 1:]), axis=1)
+        parts.append((epoch[clear] + first, sequences[row[clear]], vertices[clear]))
+    epoch, hit, vertices = (np.concatenate(columns) for columns in zip(*parts, strict=True))
 
     length = np.linalg.norm(np.diff(vertices, axis=1), axis=-1).sum(axis=1)
     departure = angles_of(vertices[:, 1] - vertices[:, 0])

@@ -164,12 +164,17 @@ def test_import_of_another_llvm_before_is_reported(tmp_path: Path) -> None:
     assert "imported before" in done.stdout, done.stderr
 
 
-def test_missing_ray_tracer_is_an_error_with_a_remedy() -> None:
-    """Where Mitsuba is not installed, prepare raises BackendError and says what to install."""
+@pytest.mark.parametrize("missing", ["drjit", "mitsuba", "sionna"])
+def test_missing_ray_tracer_is_an_error_with_a_remedy(missing: str) -> None:
+    """Where a part of the ray tracer is not installed, prepare raises BackendError and says what to do."""
     done = run_python(
         "import sys\n"
-        "sys.modules['drjit'] = None\n"
+        "from raytrace import backend\n"
         "from raytrace.backend import prepare\n"
+        f"if {missing!r} == 'sionna':\n"
+        "    backend.find_spec = lambda name: None\n"
+        "else:\n"
+        f"    sys.modules[{missing!r}] = None\n"
         "from estimator.errors import BackendError\n"
         "try:\n"
         "    prepare()\n"

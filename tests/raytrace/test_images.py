@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from estimator.geometry import mirror_in_wall
+from estimator.specular import specular_paths
 from estimator.waveform import SPEED_OF_LIGHT_M_S, free_space_loss_db
 from raytrace.floorplan import FloorPlan, load_floorplan, parse_floorplan
 from raytrace.images import image_paths, surfaces_of
@@ -163,6 +164,33 @@ def test_rim_leaves_out_what_a_corner_decides() -> None:
     ]
     assert 0 in walls[0]
     assert 0 not in walls[1]
+
+
+def test_planar_method_agrees() -> None:
+    """The estimator's own planar image method gives the same paths, lengths apart from the heights."""
+    plan = load_floorplan("l-room")
+    start, end = plan.walls_m()
+    planar = specular_paths(start, end, plan.anchors_m()[:, :2], plan.track()[:, :2], order=2)
+    ours = image_paths(plan, depth=2).flat()
+    column = {walls: index for index, walls in enumerate(planar.walls)}
+    rows = [tuple(w for w in row if w != NO_SURFACE) for row in ours.walls.tolist()]
+    index = np.array([column[walls] for walls in rows])
+    seen = np.zeros_like(planar.visible)
+    seen[ours.epoch, ours.anchor, index] = True
+    np.testing.assert_array_equal(seen, planar.visible)
+    length = np.hypot(planar.length_m[ours.epoch, ours.anchor, index], 1.0)  # heights 2.5 m and 1.5 m
+    np.testing.assert_allclose(ours.delay_s * SPEED_OF_LIGHT_M_S, length, rtol=1e-12)
+
+
+def test_blocks_of_positions_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Looking at three positions at a time gives what looking at all at once gives."""
+    plan = load_floorplan("l-room").updated({"agent.epochs": 10})
+    whole = image_paths(plan).flat()
+    monkeypatch.setattr("raytrace.images._ROWS", 100)
+    pieces = image_paths(plan).flat()
+    np.testing.assert_array_equal(whole.delay_s, pieces.delay_s)
+    np.testing.assert_array_equal(whole.walls, pieces.walls)
+    np.testing.assert_array_equal(whole.epoch, pieces.epoch)
 
 
 @pytest.mark.parametrize("depth", [0, 2])
