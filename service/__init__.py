@@ -1,1 +1,1 @@
-"""The faces of hapslam: the command line."""
+"""The faces of hapslam: the HTTP service with its page, and the command line."""

@@ -1,0 +1,126 @@
+"""Measurements and estimates as JSON text, exact to the last bit.
+
+JSON numbers are written with as many digits as tell two doubles apart, so what is read
+back equals what was written. Equal measurements give equal text: the measurement log is
+compared and folded in this form.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp
+from estimator.slam import Estimate
+
+__all__ = [
+    "dump",
+    "epoch_text",
+    "estimate_document",
+    "read_epoch",
+    "read_estimate",
+    "read_sweep",
+    "sweep_text",
+]
+
+
+def dump(value: object) -> str:
+    """JSON in the shortest form; refuses NaN and infinity."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False)
+
+
+def epoch_text(epoch: Epoch) -> str:
+    """An epoch as the log keeps it."""
+    paths = [
+        [
+            entry.delay_s.tolist(),
+            entry.delay_std_s.tolist(),
+            None if entry.gain_db is None else entry.gain_db.tolist(),
+        ]
+        for entry in epoch.paths
+    ]
+    return dump({"epoch": epoch.index, "time_s": epoch.time_s, "paths": paths})
+
+
+def read_epoch(text: str) -> Epoch:
+    """The epoch that :func:`epoch_text` wrote."""
+    value = json.loads(text)
+    paths = tuple(AnchorPaths(delay, std, gain) for delay, std, gain in value["paths"])
+    return Epoch(value["epoch"], value["time_s"], paths)
+
+
+def sweep_text(number: int, walls: Iterable[GaussianVrp]) -> str:
+    """A sweep as the log keeps it: the walls sensed by it."""
+    rows = [[wall.mean_m.tolist(), wall.covariance_m2.tolist()] for wall in walls]
+    return dump({"sweep": number, "walls": rows})
+
+
+def read_sweep(text: str) -> tuple[GaussianVrp, ...]:
+    """The walls of the sweep that :func:`sweep_text` wrote."""
+    return tuple(GaussianVrp(mean, covariance) for mean, covariance in json.loads(text)["walls"])
+
+
+def estimate_document(
+    epoch: int, time_s: float, anchors: Sequence[str], estimate: Estimate
+) -> dict[str, Any]:
+    """An estimate as the service shows it: JSON types, units in the names, null where unknown."""
+    mean = estimate.agent_mean.tolist()
+    return {
+        "epoch": epoch,
+        "time_s": time_s,
+        "agent": {
+            "position_m": mean[:2],
+            "velocity_m_s": mean[2:],
+            "covariance": estimate.agent_covariance.tolist(),
+        },
+        "rotation_std_rad": float(estimate.rotation_std_rad),
+        "anchors": [
+            {
+                "name": name,
+                "located": bool(located),
+                "position_m": place.tolist() if located else None,
+                "covariance_m2": covariance.tolist() if located else None,
+            }
+            for name, located, place, covariance in zip(
+                anchors,
+                estimate.anchor_valid,
+                estimate.anchor_mean_m,
+                estimate.anchor_covariance_m2,
+                strict=True,
+            )
+        ],
+        "walls": [
+            {"id": int(number), "vrp_m": vrp.tolist(), "covariance_m2": covariance.tolist()}
+            for number, vrp, covariance in zip(
+                estimate.wall_id, estimate.wall_mean_m, estimate.wall_covariance_m2, strict=True
+            )
+        ],
+        "hypotheses": int(estimate.hypotheses),
+        "log_evidence": float(estimate.log_evidence),
+    }
+
+
+def read_estimate(document: dict[str, Any]) -> Estimate:
+    """The estimate that :func:`estimate_document` showed, bit for bit."""
+    agent, anchors, walls = document["agent"], document["anchors"], document["walls"]
+    nowhere, unknown = [np.nan] * 2, [[np.nan] * 2] * 2
+    return Estimate(
+        agent_mean=np.array(agent["position_m"] + agent["velocity_m_s"]),
+        agent_covariance=np.array(agent["covariance"]),
+        rotation_std_rad=document["rotation_std_rad"],
+        anchor_valid=np.array([anchor["located"] for anchor in anchors], dtype=bool),
+        anchor_mean_m=np.array([anchor["position_m"] or nowhere for anchor in anchors]).reshape(-1, 2),
+        anchor_covariance_m2=np.array([anchor["covariance_m2"] or unknown for anchor in anchors]).reshape(
+            -1, 2, 2
+        ),
+        wall_id=np.array([wall["id"] for wall in walls], dtype=np.int64),
+        wall_mean_m=np.array([wall["vrp_m"] for wall in walls], dtype=np.float64).reshape(-1, 2),
+        wall_covariance_m2=np.array([wall["covariance_m2"] for wall in walls], dtype=np.float64).reshape(
+            -1, 2, 2
+        ),
+        hypotheses=document["hypotheses"],
+        log_evidence=document["log_evidence"],
+    )

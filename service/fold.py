@@ -1,0 +1,196 @@
+"""A session's state as the fold of its measurement log.
+
+The same functions serve a request (a few epochs on top of a snapshot), a rebuild (all
+epochs from the start) and ``hapslam service verify``; they run in the worker processes
+and know neither the database nor HTTP.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estimator.errors import ConfigurationError, InputError
+from estimator.measurements import GaussianVrp, MeasurementSet
+from estimator.slam import Engine, Prior, epoch_rng
+from estimator.slam.run import config_for, engine_for
+from service.documents import dump, estimate_document, read_epoch, read_sweep
+
+__all__ = ["Folded", "Job", "StateCache", "digest", "engine_of", "fold", "measurement_set", "run_settings"]
+
+_LARGEST_COUNT = 200_000  # of hypotheses, particles, epochs: what a configuration may ask for
+
+
+@dataclass(frozen=True)
+class Job:
+    """Epochs to take into a session.
+
+    Parameters
+    ----------
+    session_id : str
+        The session.
+    config : str
+        Its configuration, JSON.
+    sweeps : tuple of str
+        Its sweeps, as in the log; looked at if there is no snapshot.
+    snapshot : bytes or None
+        The state to start from; None for the state before the first epoch.
+    epochs : tuple of str
+        The epochs that follow, as in the log.
+    """
+
+    session_id: str
+    config: str
+    sweeps: tuple[str, ...]
+    snapshot: bytes | None
+    epochs: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Folded:
+    """What came of a :class:`Job`.
+
+    Parameters
+    ----------
+    snapshot : bytes
+        The state after the last epoch.
+    estimates : tuple of dict
+        A row of the table ``estimates`` for each epoch, without the session.
+    """
+
+    snapshot: bytes
+    estimates: tuple[dict[str, Any], ...]
+
+
+class StateCache:
+    """The states last folded, so that a session's next epoch need not read its snapshot.
+
+    A state is found again only by the digest of its snapshot, so it is the state that the
+    snapshot would give.
+    """
+
+    def __init__(self, size: int = 64) -> None:
+        self._size = size
+        self._states: dict[str, tuple[bytes, Any]] = {}
+
+    def get(self, session_id: str, snapshot: bytes) -> Any | None:
+        """The state of a session, if its snapshot is the one given."""
+        known, state = self._states.get(session_id, (b"", None))
+        return state if known == digest(snapshot) else None
+
+    def put(self, session_id: str, snapshot: bytes, state: Any) -> None:
+        """Keep a state; the longest unused one is forgotten."""
+        self._states.pop(session_id, None)
+        self._states[session_id] = digest(snapshot), state
+        if len(self._states) > self._size:
+            self._states.pop(next(iter(self._states)))
+
+
+def digest(snapshot: bytes) -> bytes:
+    """SHA-256 of a snapshot."""
+    return hashlib.sha256(snapshot).digest()
+
+
+def measurement_set(config: Mapping[str, Any], walls: Sequence[GaussianVrp] = ()) -> MeasurementSet:
+    """A session's configuration and walls in the estimator's terms, without epochs."""
+    return MeasurementSet(
+        anchors=tuple(config["anchors"]),
+        walls=tuple(walls),
+        epochs=(),
+        carrier_hz=config["carrier_hz"],
+        settings=run_settings(config),
+    )
+
+
+def run_settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of a session's measurements."""
+    return {"measurement_model": config["measurement_model"]}
+
+
+def engine_of(config: Mapping[str, Any]) -> Engine:
+    """The engine of a session.
+
+    Raises
+    ------
+    ConfigurationError
+        If the method, the engine or the noise model is none that the estimator knows, or
+        the noise model asks for more than a service can give.
+    """
+    for name, value in config["measurement_model"].items():
+        if isinstance(value, int) and abs(value) > _LARGEST_COUNT:
+            raise ConfigurationError(
+                f"measurement_model.{name}: expected at most {_LARGEST_COUNT}, got {value}"
+            )
+    return engine_for(config["method"], config["engine"], config_for(measurement_set(config)))
+
+
+def fold(job: Job, cache: StateCache | None = None) -> Folded:
+    """Take a job's epochs into its session's state, as a batch run would.
+
+    Parameters
+    ----------
+    job : Job
+        The session and what is new.
+    cache : StateCache, optional
+        Saves reading the snapshot again.
+
+    Raises
+    ------
+    InputError
+        If the engine cannot take an epoch, or its estimates are not finite.
+    FileFormatError
+        If the snapshot is damaged.
+    """
+    config = json.loads(job.config)
+    engine = engine_of(config)
+    state: Any = None
+    if job.snapshot is not None:
+        state = cache.get(job.session_id, job.snapshot) if cache else None
+        state = engine.load(job.snapshot) if state is None else state
+    rows = []
+    try:
+        if state is None:
+            walls = [wall for sweep in job.sweeps for wall in read_sweep(sweep)]
+            state = engine.start(Prior.of(measurement_set(config, walls)), epoch_rng(config["seed"], -1))
+        for text in job.epochs:
+            epoch = read_epoch(text)
+            state = engine.step(state, epoch, epoch_rng(config["seed"], epoch.index))
+            document = estimate_document(epoch.index, epoch.time_s, config["anchors"], engine.estimate(state))
+            rows.append(_row(document))
+    except (ArithmeticError, np.linalg.LinAlgError, IndexError, MemoryError) as error:
+        raise InputError(f"the {engine.name} engine cannot take these measurements: {error}") from error
+    snapshot = engine.save(state)
+    if cache is not None:
+        cache.put(job.session_id, snapshot, state)
+    return Folded(snapshot, tuple(rows))
+
+
+def _row(document: dict[str, Any]) -> dict[str, Any]:
+    """A row of ``estimates``; raises InputError where a figure is not finite."""
+    agent = document["agent"]
+    (x, y), covariance = agent["position_m"], agent["covariance"]
+    try:
+        text = dump(document)
+    except ValueError as error:
+        raise InputError(
+            f"epoch {document['epoch']}: expected measurements that the engine can explain, "
+            "its estimates would not be finite numbers"
+        ) from error
+    return {
+        "epoch": document["epoch"],
+        "time_s": document["time_s"],
+        "x_m": x,
+        "y_m": y,
+        "variance_x_m2": covariance[0][0],
+        "covariance_xy_m2": covariance[0][1],
+        "variance_y_m2": covariance[1][1],
+        "rotation_std_rad": document["rotation_std_rad"],
+        "hypotheses": document["hypotheses"],
+        "walls": len(document["walls"]),
+        "document": text,
+    }

@@ -1,0 +1,126 @@
+"""Sessions: make, list, read, delete."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Response
+from sqlalchemy import Row
+
+from estimator.errors import ConfigurationError
+from estimator.slam.run import ENGINES, METHODS
+from service.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
+from service.documents import dump
+from service.errors import TooLargeError, TooManyError
+from service.fold import engine_of
+from service.schemas import SessionRequest, Truth
+from service.sessions import new_session_id
+
+__all__ = ["router", "session_document"]
+
+router = APIRouter(prefix="/v1", tags=["sessions"])
+
+
+@router.get("/methods", summary="What a session's method and engine may be")
+async def methods(who: CallerDep) -> list[dict[str, str]]:
+    """Pairs of method (what is known and sensed) and engine (how inference is done)."""
+    probe = {"anchors": ["a"], "carrier_hz": 1e9, "measurement_model": {}}
+    pairs = []
+    for method in METHODS:
+        for engine in ENGINES:
+            try:
+                engine_of({**probe, "method": method, "engine": engine})
+            except ConfigurationError:
+                continue
+            pairs.append({"method": method, "engine": engine})
+    return pairs
+
+
+@router.post("/sessions", status_code=201, summary="Make a session")
+async def create(
+    request: SessionRequest, here: ContextDep, who: CallerDep, response: Response
+) -> dict[str, Any]:
+    """Make a session; measurements go to the address in ``Location``."""
+    if len(request.anchors) > here.settings.max_anchors:
+        raise TooLargeError(
+            f"anchors: expected at most {here.settings.max_anchors}, got {len(request.anchors)}"
+        )
+    config = request.config()
+    engine_of(config)
+    session = SessionAccess(new_session_id(), who.key_id)
+    limit = here.settings.max_sessions_per_key
+    if not await here.run(here.store.create, session.id, who.key_id, request.name, dump(config), limit):
+        raise TooManyError(f"expected at most {limit} sessions of a key; delete some")
+    response.headers["Location"] = f"/v1/sessions/{session.id}"
+    return await read(session, here)
+
+
+@router.get("/sessions", summary="List sessions")
+async def list_sessions(
+    here: ContextDep,
+    who: CallerDep,
+    limit: Annotated[int, Query(ge=1, le=500)] = 50,
+    before: Annotated[
+        str | None, Query(pattern="^[0-9a-f]{32}$", description="`next` of the page before.")
+    ] = None,
+) -> dict[str, Any]:
+    """Sessions of the caller's key, the newest first, a page at a time."""
+    rows = await here.run(here.store.sessions, who.key_id, before, limit)
+    return {
+        "sessions": [session_document(row) for row in rows],
+        "next": rows[-1].id if len(rows) == limit else None,
+    }
+
+
+@router.get("/sessions/{session_id}", summary="Read a session")
+async def read(session: SessionDep, here: ContextDep) -> dict[str, Any]:
+    """The session's configuration, and what it expects next."""
+    return session_document(await here.run(here.store.session, session.id, session.key_id))
+
+
+@router.delete("/sessions/{session_id}", status_code=204, summary="Delete a session")
+async def delete(session: SessionDep, here: ContextDep) -> None:
+    """Delete a session with its measurements, its state and its estimates."""
+    await here.run(here.store.delete, session.id, session.key_id)
+    here.bell.ring(session.id)
+
+
+@router.put("/sessions/{session_id}/truth", status_code=204, summary="Give the truth, for comparison")
+async def put_truth(request: Truth, session: SessionDep, here: ContextDep) -> None:
+    """Walls, anchors and track that the page draws beside the estimates; no engine sees them."""
+    await here.run(here.store.set_truth, session.id, session.key_id, request.model_dump_json())
+
+
+@router.get("/sessions/{session_id}/truth", summary="Read the truth")
+async def get_truth(session: SessionDep, here: ContextDep) -> dict[str, Any] | None:
+    """The truth that was given, null if none was."""
+    text = await here.run(_truth, here, session)
+    truth: dict[str, Any] | None = None if text is None else json.loads(text)
+    return truth
+
+
+def _truth(here: Context, session: SessionAccess) -> str | None:
+    with here.store.reading() as connection:
+        here.store.session(session.id, session.key_id, connection)
+        return here.store.truth(session.id, connection)
+
+
+def session_document(row: Row[Any]) -> dict[str, Any]:
+    """A session's row as the service shows it."""
+    return {
+        "id": row.id,
+        "name": row.name,
+        "created_at": _instant(row.created_at),
+        "updated_at": _instant(row.updated_at),
+        "next_sweep": row.next_sweep,
+        "next_epoch": row.next_epoch,
+        "time_s": row.time_s,
+        **json.loads(row.config),
+    }
+
+
+def _instant(value: datetime) -> str:
+    aware = value if value.tzinfo else value.replace(tzinfo=UTC)
+    return aware.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

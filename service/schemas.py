@@ -1,0 +1,233 @@
+"""Requests of the service: SI units, the unit in the name, nothing unknown accepted."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from estimator.errors import InputError
+from estimator.geometry import rotation_matrix
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp
+
+__all__ = ["EpochsRequest", "Flash", "SessionRequest", "StartFrame", "SweepRequest", "Truth", "Wall"]
+
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]
+Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1e15)]
+Number = Annotated[int, Field(ge=0, le=2**31 - 2)]
+Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Pair = Annotated[list[Finite], Field(min_length=2, max_length=2)]
+Matrix = Annotated[list[Pair], Field(min_length=2, max_length=2)]
+
+
+class Request(BaseModel):
+    """Base: immutable, no unknown fields."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class StartFrame(Request):
+    """Where the agent started in the frame of a floor plan: maps are then given in that frame."""
+
+    position_m: Pair
+    heading_rad: Finite = 0.0
+
+
+class SessionRequest(Request):
+    """A new session: what is known and sensed, how inference is done, what to expect of the noise."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "name": "corridor, morning",
+                    "method": "hybrid",
+                    "engine": "gaussian",
+                    "seed": 1,
+                    "anchors": ["pa1", "pa2"],
+                    "carrier_hz": 28e9,
+                    "measurement_model": {"range_std_m": 0.1, "clutter_mean": 1.0},
+                }
+            ]
+        }
+    )
+
+    name: Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = ""
+    method: Annotated[str, Field(max_length=50)] = "hybrid"
+    engine: Annotated[str, Field(max_length=50)] = "gaussian"
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+    anchors: Annotated[list[Name], Field(min_length=1, max_length=1000)]
+    carrier_hz: Positive
+    measurement_model: Annotated[
+        dict[Annotated[str, Field(max_length=100)], int | Finite], Field(max_length=100)
+    ] = Field(default_factory=dict, description="Fields of the engine's configuration; the rest is default.")
+    start_frame: StartFrame | None = None
+
+    @model_validator(mode="after")
+    def _distinct(self) -> SessionRequest:
+        if len(set(self.anchors)) != len(self.anchors):
+            raise ValueError("anchors: expected names that differ")
+        return self
+
+    def config(self) -> dict[str, Any]:
+        """What the session's engine is made from (JSON types)."""
+        return self.model_dump(mode="json", exclude={"name"})
+
+
+class Wall(Request):
+    """A wall as a virtual reference point, the mirror image of the agent's start, with covariance."""
+
+    vrp_m: Pair
+    covariance_m2: Matrix
+
+    def gaussian(self) -> GaussianVrp:
+        """The wall in the estimator's terms."""
+        return GaussianVrp(np.array(self.vrp_m), np.array(self.covariance_m2))
+
+
+class Flash(Request):
+    """A return at normal incidence: the wall stands at ``range_m`` in direction ``azimuth_rad``."""
+
+    range_m: Positive
+    range_std_m: Positive
+    azimuth_rad: Finite
+    azimuth_std_rad: Positive
+
+    def gaussian(self) -> GaussianVrp:
+        """The wall in the estimator's terms: the VRP is twice as far as the wall."""
+        turn = rotation_matrix(self.azimuth_rad)
+        along, across = 2.0 * self.range_std_m, 2.0 * self.range_m * self.azimuth_std_rad
+        covariance = turn @ np.diag([along**2, across**2]) @ turn.T
+        return GaussianVrp(2.0 * self.range_m * turn[:, 0], 0.5 * (covariance + covariance.T))
+
+
+class SweepRequest(Request):
+    """What active sensing saw at the start: walls with covariances, or flashes."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "sweep": 0,
+                    "flashes": [
+                        {
+                            "range_m": 10.02,
+                            "range_std_m": 0.05,
+                            "azimuth_rad": 3.14,
+                            "azimuth_std_rad": 0.003,
+                        }
+                    ],
+                }
+            ]
+        }
+    )
+
+    sweep: Number = 0
+    walls: Annotated[list[Wall], Field(max_length=1000)] = Field(default_factory=list)
+    flashes: Annotated[list[Flash], Field(max_length=1000)] = Field(default_factory=list)
+
+    def gaussians(self) -> list[GaussianVrp]:
+        """The walls in the estimator's terms, in the order given."""
+        return [wall.gaussian() for wall in self.walls] + [flash.gaussian() for flash in self.flashes]
+
+
+class Paths(Request):
+    """The paths that one anchor was heard on: times of flight, their spread, channel gains."""
+
+    delay_s: Annotated[list[Positive], Field(max_length=10_000)]
+    delay_std_s: Annotated[list[Positive], Field(max_length=10_000)] | None = None
+    delay_variance_s2: Annotated[list[Positive], Field(max_length=10_000)] | None = None
+    gain_db: Annotated[list[Finite], Field(max_length=10_000)] | None = None
+
+    @model_validator(mode="after")
+    def _one_spread(self) -> Paths:
+        if (self.delay_std_s is None) == (self.delay_variance_s2 is None):
+            raise ValueError("expected one of delay_std_s and delay_variance_s2")
+        return self
+
+    def anchor_paths(self) -> AnchorPaths:
+        """The paths in the estimator's terms."""
+        if self.delay_std_s is not None:
+            return AnchorPaths(np.array(self.delay_s), np.array(self.delay_std_s), self._gain())
+        return AnchorPaths(np.array(self.delay_s), np.sqrt(np.array(self.delay_variance_s2)), self._gain())
+
+    def _gain(self) -> Any:
+        return None if self.gain_db is None else np.array(self.gain_db)
+
+
+class SiEpoch(Request):
+    """An epoch in SI units: for each anchor by name, its paths; an anchor left out was not heard."""
+
+    epoch: Number
+    time_s: Finite
+    anchors: Annotated[dict[Name, Paths], Field(max_length=1000)]
+
+    def estimator_epoch(self, names: list[str]) -> Epoch:
+        """The epoch in the estimator's terms.
+
+        Raises
+        ------
+        InputError
+            If an anchor is none of the session's, or columns differ in length.
+        """
+        unknown = sorted(set(self.anchors) - set(names))
+        if unknown:
+            raise InputError(
+                f"epoch {self.epoch}: expected anchors among {', '.join(names)}, got {unknown[0]!r}"
+            )
+        paths = []
+        for name in names:
+            given = self.anchors.get(name)
+            try:
+                paths.append(AnchorPaths(np.zeros(0), np.zeros(0)) if given is None else given.anchor_paths())
+            except InputError as error:
+                raise InputError(f"epoch {self.epoch}, anchor {name}: {error}") from error
+        return Epoch(self.epoch, self.time_s, tuple(paths))
+
+
+class EpochsRequest(Request):
+    """One or many consecutive epochs."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "epochs": [
+                        {
+                            "epoch": 0,
+                            "time_s": 0.0,
+                            "anchors": {
+                                "pa1": {
+                                    "delay_s": [1.95e-7, 2.61e-7],
+                                    "delay_std_s": [3.3e-10, 3.3e-10],
+                                    "gain_db": [-97.1, -104.8],
+                                },
+                                "pa2": {"delay_s": [1.28e-7], "delay_std_s": [3.3e-10], "gain_db": [-93.0]},
+                            },
+                        }
+                    ]
+                }
+            ]
+        }
+    )
+
+    epochs: Annotated[list[SiEpoch], Field(min_length=1, max_length=100_000)]
+
+
+class TruthWall(Request):
+    """A true wall as a segment."""
+
+    name: Annotated[str, Field(max_length=100)] = ""
+    from_m: Pair
+    to_m: Pair
+
+
+class Truth(Request):
+    """The truth, for comparison on the page alone; in the estimator's frame, or in the start frame's."""
+
+    frame: Literal["estimator", "plan"] = "plan"
+    walls: Annotated[list[TruthWall], Field(max_length=10_000)] = Field(default_factory=list)
+    anchors_m: Annotated[list[Pair], Field(max_length=1000)] = Field(default_factory=list)
+    track_m: Annotated[list[Pair], Field(max_length=200_000)] = Field(default_factory=list)
+    start_frame: StartFrame | None = None

@@ -1,0 +1,174 @@
+"""Long-lived processes that step sessions, each with its queue; a session keeps its worker.
+
+The queues are bounded: who finds a full one is told to come again. A worker that
+exceeds its time or dies is replaced; what it had in work was not committed, so
+nothing is lost. Workers end with the server, even if it was killed.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import queue
+import signal
+import threading
+import warnings
+import zlib
+from concurrent.futures import Future
+from multiprocessing.connection import Connection, wait
+from types import TracebackType
+
+from service.errors import BusyError, StepTimeoutError, WorkerDiedError
+from service.fold import Folded, Job, StateCache, fold
+
+__all__ = ["StepPool"]
+
+
+def _serve(connection: Connection) -> None:
+    """Life of a worker: fold job after job until the server is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the server drains, then closes the connection
+    warnings.simplefilter("ignore", RuntimeWarning)  # wild measurements overflow; estimates are checked
+    parent = multiprocessing.parent_process()
+    threading.Thread(target=_end_with, args=(parent.sentinel if parent else -1,), daemon=True).start()
+    cache = StateCache()
+    while True:
+        try:
+            job: Job = connection.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            connection.send(fold(job, cache))
+        except Exception as error:  # to be raised where the request waits
+            connection.send(error)
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)
+
+
+class StepPool:
+    """Folds jobs in processes of their own.
+
+    Parameters
+    ----------
+    workers : int
+        Processes; 0 folds in the calling thread.
+    max_waiting : int
+        Jobs that may wait for one worker.
+    timeout_s : float
+        Longest time of one job.
+    """
+
+    def __init__(self, workers: int, max_waiting: int, timeout_s: float) -> None:
+        self._workers = [_Worker(max_waiting, timeout_s) for _ in range(workers)]
+        self._own = threading.Lock()
+        self._cache = StateCache()
+
+    def __enter__(self) -> StepPool:
+        for worker in self._workers:
+            worker.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for worker in self._workers:
+            worker.stop()
+
+    @property
+    def waiting(self) -> int:
+        """Jobs that wait or are in work."""
+        return sum(worker.waiting for worker in self._workers)
+
+    def fold(self, job: Job) -> Folded:
+        """Fold a job; see :func:`service.fold.fold`.
+
+        Raises
+        ------
+        BusyError
+            If too many jobs wait for the session's worker.
+        StepTimeoutError
+            If the job took too long.
+        WorkerDiedError
+            If the worker died over it.
+        """
+        if not self._workers:
+            with self._own:
+                return fold(job, self._cache)
+        worker = self._workers[zlib.crc32(job.session_id.encode()) % len(self._workers)]
+        return worker.submit(job).result()
+
+
+class _Worker:
+    """A process, the queue before it, and the thread that feeds it."""
+
+    def __init__(self, max_waiting: int, timeout_s: float) -> None:
+        self._timeout_s = timeout_s
+        self._queue: queue.Queue[tuple[Job, Future[Folded]] | None] = queue.Queue(max_waiting)
+        self._thread = threading.Thread(target=self._feed, daemon=True, name="hapslam-worker")
+        self._busy = False
+
+    @property
+    def waiting(self) -> int:
+        return self._queue.qsize() + self._busy
+
+    def start(self) -> None:
+        self._spawn()
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._queue.put(None)
+        self._thread.join(self._timeout_s)
+        self._process.kill()
+        self._process.join()
+        self._connection.close()
+
+    def submit(self, job: Job) -> Future[Folded]:
+        future: Future[Folded] = Future()
+        try:
+            self._queue.put_nowait((job, future))
+        except queue.Full:
+            raise BusyError(f"expected a free worker, {self._queue.qsize()} requests wait already") from None
+        return future
+
+    def _spawn(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process.start()
+        theirs.close()
+
+    def _feed(self) -> None:
+        while (item := self._queue.get()) is not None:
+            job, future = item
+            self._busy = True
+            try:
+                future.set_result(self._ask(job))
+            except BaseException as error:
+                future.set_exception(error)
+            finally:
+                self._busy = False
+
+    def _ask(self, job: Job) -> Folded:
+        try:
+            self._connection.send(job)
+            if not self._connection.poll(self._timeout_s):
+                self._replace()
+                raise StepTimeoutError(f"expected the step to take at most {self._timeout_s:g} s, gave it up")
+            answer = self._connection.recv()
+        except (EOFError, OSError) as error:
+            self._replace()
+            raise WorkerDiedError(
+                "the process that stepped the session died; nothing was taken in"
+            ) from error
+        if isinstance(answer, Folded):
+            return answer
+        raise answer
+
+    def _replace(self) -> None:
+        self._process.kill()
+        self._process.join()
+        self._connection.close()
+        self._spawn()
