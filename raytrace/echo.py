@@ -24,9 +24,6 @@ from raytrace.solver import solve
 
 __all__ = ["EchoSweep", "sweep_echo"]
 
-# Paths summed at a time: bounds the memory of the sum over beams and tones.
-_CHUNK = 2048
-
 
 @dataclass(frozen=True, eq=False)
 class EchoSweep:
@@ -108,12 +105,7 @@ def _physical(plan: FloorPlan, radio: RadioScene, places: NDArray[np.float64]) -
 
 def _beams(plan: FloorPlan, paths: PathList) -> NDArray[np.complex128]:
     """Both directions of every path through every beam, summed on the tones, (beams, tones)."""
-    beams, grid = plan.echo.beams.beam_set(), plan.echo.grid()
-    response = np.zeros((beams.beams, grid.tones), dtype=np.complex128)
-    heading = plan.agent.heading_rad
-    for start in range(0, len(paths), _CHUNK):
-        part = paths.select(np.arange(start, min(start + _CHUNK, len(paths))))
-        sent = beams.one_way(part.departure_azimuth_rad - heading, part.departure_elevation_rad)
-        heard = beams.one_way(part.arrival_azimuth_rad - heading, part.arrival_elevation_rad)
-        response += superpose((sent * heard * part.amplitude[:, None]).T, part.delay_s, grid)
-    return response
+    beams, heading = plan.echo.beams.beam_set(), plan.agent.heading_rad
+    sent = beams.one_way(paths.departure_azimuth_rad - heading, paths.departure_elevation_rad)
+    heard = beams.one_way(paths.arrival_azimuth_rad - heading, paths.arrival_elevation_rad)
+    return superpose((sent * heard * paths.amplitude[:, None]).T, paths.delay_s, plan.echo.grid())
