@@ -210,7 +210,7 @@ class EchoPursuit:
             raise InputError(f"echo: expected finite numbers, got {data[~np.isfinite(data)][0]}")
         if not 0.0 < noise_variance < np.inf:
             raise InputError(f"noise_variance: expected a positive number, got {noise_variance}")
-        data = data - (data @ self._blind.conj()) @ self._blind.T
+        data = self._blank(data)
         fit = _Fit(np.zeros(0), np.zeros(0), np.zeros(0, np.complex128), 0.0, np.zeros(0), np.zeros((0, 0)))
         residual = data
         for _ in range(self.config.max_returns):
@@ -219,10 +219,10 @@ class EchoPursuit:
                 break
             start = np.append(fit.turns, peak[0]), np.append(fit.azimuth, peak[1])
             fit = self._polish(data, self._project(data, *start), self.config.steps)
-            residual = data - self._synthesise(fit)
+            residual = data - self._blank(self._synthesise(fit))
         if len(fit.turns):
             fit = self._polish(data, fit, self.config.final_steps)
-            residual = data - self._synthesise(fit)
+            residual = data - self._blank(self._synthesise(fit))
         return self._returns(fit, max(noise_variance, float(np.mean(np.abs(residual) ** 2))))
 
     def _blind_zone(self) -> Complex:
@@ -235,6 +235,22 @@ class EchoPursuit:
         atoms = np.exp(-2j * np.pi * numbers[:, None] * turns)
         basis, strength, _ = np.linalg.svd(atoms, full_matrices=False)
         return np.asarray(basis[:, strength > _BLIND_LEAK * strength[0]])
+
+    def _blank(self, data: Complex) -> Complex:
+        """Data (beams, tones) without what the blind zone may hold."""
+        return np.asarray(data - (data @ self._blind.conj()) @ self._blind.T)
+
+    def _tone_products(self, turns: Real) -> tuple[Complex, Complex, Complex]:
+        """Inner products of blanked delay atoms ``e_k^H e_l``, ``e_k^H e'_l`` and ``e'_k^H e'_l``, (K, K)."""
+        kernel, slope, curvature = dirichlet(turns[:, None] - turns, self.grid.tones)
+        phase = -2j * np.pi * (np.arange(self.grid.tones) - 0.5 * (self.grid.tones - 1))[:, None]
+        atoms = np.exp(phase * turns)
+        lost, lost_slope = self._blind.conj().T @ atoms, self._blind.conj().T @ (phase * atoms)
+        return (
+            kernel - lost.conj().T @ lost,
+            -slope - lost.conj().T @ lost_slope,
+            -curvature - lost_slope.conj().T @ lost_slope,
+        )
 
     def _beam_response(self, azimuth: Real) -> tuple[Complex, Complex]:
         """Two-way response of the beams and its derivative, each (K, beams)."""
@@ -267,10 +283,10 @@ class EchoPursuit:
         """Least squares of the gains, and the score and information of delays and azimuths.
 
         As in :func:`estimator.channel.model.delay_information`, with one more parameter per atom:
-        inner products of atoms are those of beam patterns times the kernel.
+        inner products of atoms are those of beam patterns times those of delay atoms.
         """
         beam, beam_slope = self._beam_response(azimuth)
-        kernel, slope, curvature = dirichlet(turns[:, None] - turns, self.grid.tones)
+        tones, tones_slope, tones_curved = self._tone_products(turns)
         own = turns[:, None]
         z, z_turns = (
             part[:, 0]
@@ -280,10 +296,10 @@ class EchoPursuit:
         flat, mixed, curved = (
             a.conj() @ b.T for a, b in ((beam, beam), (beam, beam_slope), (beam_slope,) * 2)
         )
-        atoms = flat * kernel
-        cross = np.concatenate([-flat * slope, mixed * kernel], axis=1)
-        corner = mixed * slope
-        derivatives = np.block([[-flat * curvature, corner], [corner.conj().T, curved * kernel]])
+        atoms = flat * tones
+        cross = np.concatenate([flat * tones_slope, mixed * tones], axis=1)
+        corner = mixed * tones_slope.conj().T
+        derivatives = np.block([[flat * tones_curved, corner], [corner.conj().T, curved * tones]])
         gain = np.asarray(np.linalg.solve(atoms, z), dtype=np.complex128)
         both = np.concatenate([gain, gain])
         projected = derivatives - cross.conj().T @ np.linalg.solve(atoms, cross)
