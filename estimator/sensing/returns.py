@@ -34,7 +34,7 @@ Complex = NDArray[np.complex128]
 
 _AZIMUTH_STEP_RAD = 1e-4  # of the central difference of beam responses
 _AZIMUTHS_PER_BEAM = 4
-_BLIND_LEAK = 1e-3  # amplitude that the blind zone's projection lets pass
+_BLIND_LEAK = 1e-4  # amplitude that the blind zone's projection lets pass
 _STEP_LIMIT_CELLS = 0.25
 _CONVERGED_CELLS = 1e-4
 
