@@ -15,7 +15,7 @@ from service.context import Context
 from service.middleware import RequestMiddleware
 from service.routes import events, health, measurements, pages, sessions, state
 from service.settings import Settings
-from service.store import Store, migrate, open_engine
+from service.store import Store, opened
 from service.telemetry import Metrics
 from service.workers import StepPool
 
@@ -48,14 +48,10 @@ def create_app(settings: Settings) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         here.threads = anyio.CapacityLimiter(_THREADS)
-        engine = open_engine(settings.url, settings.lock_timeout_s)
-        try:
-            await here.run(migrate, engine)
+        pool = StepPool(settings.workers, settings.max_waiting, settings.request_timeout_s)
+        with opened(settings.url, settings.lock_timeout_s) as engine, pool as here.pool:
             here.store, here.keys = Store(engine), KeyRing(engine)
-            with StepPool(settings.workers, settings.max_waiting, settings.request_timeout_s) as here.pool:
-                yield
-        finally:
-            engine.dispose()
+            yield
 
     app = FastAPI(
         title="hapslam",

@@ -23,6 +23,7 @@ import typer
 from rich.console import Console
 
 from estimator.errors import HapslamError
+from service.cli_service import register
 from service.progress import Reporter
 
 __all__ = ["app", "main"]
@@ -186,6 +187,9 @@ def plot(
     missing = plot_file(result, out, truth)
     if missing:
         Reporter().say(f"hapslam: note: drawn without the truth; {missing}")
+
+
+register(app)
 
 
 def print_line(text: str) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ __all__ = [
     "sweep_text",
 ]
 
+_COLUMNS = tuple(entry.name for entry in fields(AnchorPaths))
+
 
 def dump(value: object) -> str:
     """JSON in the shortest form; refuses NaN and infinity."""
@@ -35,11 +38,7 @@ def dump(value: object) -> str:
 def epoch_text(epoch: Epoch) -> str:
     """An epoch as the log keeps it."""
     paths = [
-        [
-            entry.delay_s.tolist(),
-            entry.delay_std_s.tolist(),
-            None if entry.gain_db is None else entry.gain_db.tolist(),
-        ]
+        {name: column.tolist() for name in _COLUMNS if (column := getattr(entry, name)) is not None}
         for entry in epoch.paths
     ]
     return dump({"epoch": epoch.index, "time_s": epoch.time_s, "paths": paths})
@@ -48,7 +47,7 @@ def epoch_text(epoch: Epoch) -> str:
 def read_epoch(text: str) -> Epoch:
     """The epoch that :func:`epoch_text` wrote."""
     value = json.loads(text)
-    paths = tuple(AnchorPaths(delay, std, gain) for delay, std, gain in value["paths"])
+    paths = tuple(AnchorPaths(**columns) for columns in value["paths"])
     return Epoch(value["epoch"], value["time_s"], paths)
 
 

@@ -13,6 +13,7 @@ __all__ = [
     "AuthenticationError",
     "BusyError",
     "ConflictError",
+    "DatabaseError",
     "ForbiddenError",
     "NotFoundError",
     "Refusal",
@@ -27,6 +28,10 @@ __all__ = [
 
 class ServiceError(HapslamError):
     """Base of the service's own errors."""
+
+
+class DatabaseError(ServiceError):
+    """The database cannot be opened."""
 
 
 class NotFoundError(ServiceError):

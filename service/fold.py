@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,9 @@ from estimator.slam import Engine, Prior, epoch_rng
 from estimator.slam.run import config_for, engine_for
 from service.documents import dump, estimate_document, read_epoch, read_sweep
 
-__all__ = ["Folded", "Job", "StateCache", "digest", "engine_of", "fold", "measurement_set", "run_settings"]
+__all__ = ["Folded", "Job", "StateCache", "digest", "engine_of", "fold", "measurement_set"]
 
-_LARGEST_COUNT = 200_000  # of hypotheses, particles, epochs: what a configuration may ask for
+_LARGEST_COUNT = 2_000  # of hypotheses, epochs and so on: what a noise model may ask for
 
 
 @dataclass(frozen=True)
@@ -98,18 +98,15 @@ def digest(snapshot: bytes) -> bytes:
 
 def measurement_set(config: Mapping[str, Any], walls: Sequence[GaussianVrp] = ()) -> MeasurementSet:
     """A session's configuration and walls in the estimator's terms, without epochs."""
+    known = config.get("known_anchors_m")
     return MeasurementSet(
         anchors=tuple(config["anchors"]),
         walls=tuple(walls),
         epochs=(),
         carrier_hz=config["carrier_hz"],
-        settings=run_settings(config),
+        settings={"measurement_model": config["measurement_model"]},
+        known_anchors_m=None if known is None else np.array(known),
     )
-
-
-def run_settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of a session's measurements."""
-    return {"measurement_model": config["measurement_model"]}
 
 
 def engine_of(config: Mapping[str, Any]) -> Engine:
@@ -121,12 +118,16 @@ def engine_of(config: Mapping[str, Any]) -> Engine:
         If the method, the engine or the noise model is none that the estimator knows, or
         the noise model asks for more than a service can give.
     """
-    for name, value in config["measurement_model"].items():
-        if isinstance(value, int) and abs(value) > _LARGEST_COUNT:
-            raise ConfigurationError(
-                f"measurement_model.{name}: expected at most {_LARGEST_COUNT}, got {value}"
-            )
-    return engine_for(config["method"], config["engine"], config_for(measurement_set(config)))
+    model = config_for(measurement_set(config), engine=config["engine"])
+    for entry in fields(model):
+        value = getattr(model, entry.name)
+        if isinstance(entry.default, int) and entry.name in config["measurement_model"]:
+            whole = isinstance(value, int) and not isinstance(value, bool)
+            if not whole or value > _LARGEST_COUNT:
+                raise ConfigurationError(
+                    f"measurement_model.{entry.name}: expected an integer to {_LARGEST_COUNT}, got {value}"
+                )
+    return engine_for(config["method"], config["engine"], model)
 
 
 def fold(job: Job, cache: StateCache | None = None) -> Folded:

@@ -58,12 +58,14 @@ class RequestMiddleware:
         scope.setdefault("state", {})["request_id"] = request_id
         begin, status = time.perf_counter(), 0
         limit = asyncio.timeout(self._timeout_s)
+        within = True
 
         async def send_with_headers(message: dict[str, Any]) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                limit.reschedule(None)
+                if within:
+                    limit.reschedule(None)
                 message["headers"] = [
                     *message.get("headers", ()),
                     *_HEADERS,
@@ -76,6 +78,7 @@ class RequestMiddleware:
                 async with limit:
                     await self._app(scope, receive, send_with_headers)
             except TimeoutError:
+                within = False
                 if status:
                     raise
                 late = TimeoutError(
@@ -83,6 +86,7 @@ class RequestMiddleware:
                 )
                 await problem(late, request_id)(scope, receive, send_with_headers)  # type: ignore[arg-type]
             except Exception as error:
+                within = False
                 if status:
                     raise
                 await problem(error, request_id)(scope, receive, send_with_headers)  # type: ignore[arg-type]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -11,13 +12,13 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, Row
 
-from estimator.measurements import AnchorPaths, Epoch, MeasurementSet, save_measurements
+from estimator.measurements import AnchorPaths, Epoch, save_measurements
 from estimator.result import SlamResult, save_result
 from estimator.slam.run import collect
 from estimator.walllines import line_points, line_std, seen_span
 from service.documents import read_epoch, read_estimate, read_sweep
 from service.errors import ConflictError
-from service.fold import run_settings
+from service.fold import measurement_set
 from service.store import Store
 
 __all__ = ["latest_epoch", "map_document", "measurements_file", "picture", "result_file", "session_result"]
@@ -50,9 +51,7 @@ def session_result(store: Store, row: Row[Any], connection: Connection, last: in
     documents = [json.loads(found.document) for found in store.estimates(row.id, 0, last, connection)]
     silent = tuple(AnchorPaths(np.zeros(0), np.zeros(0)) for _ in config["anchors"])
     epochs = tuple(Epoch(document["epoch"], document["time_s"], silent) for document in documents)
-    measurements = MeasurementSet(
-        tuple(config["anchors"]), (), epochs, config["carrier_hz"], run_settings(config)
-    )
+    measurements = replace(measurement_set(config), epochs=epochs)
     estimates = [read_estimate(document) for document in documents]
     settings = {"session": config}
     return collect(measurements, estimates, config["method"], config["engine"], config["seed"], settings)
@@ -71,9 +70,7 @@ def measurements_file(store: Store, row: Row[Any], connection: Connection) -> by
     config = json.loads(row.config)
     walls = [w for text in store.log(row.id, "sweep", connection) for w in read_sweep(text)]
     epochs = tuple(read_epoch(text) for text in store.log(row.id, "epoch", connection))
-    measurements = MeasurementSet(
-        tuple(config["anchors"]), tuple(walls), epochs, config["carrier_hz"], run_settings(config)
-    )
+    measurements = replace(measurement_set(config, walls), epochs=epochs)
     with TemporaryDirectory(prefix="hapslam-") as folder:
         file = Path(folder) / "measurements.nc"
         save_measurements(measurements, file)

@@ -62,12 +62,17 @@ class SessionRequest(Request):
     measurement_model: Annotated[
         dict[Annotated[str, Field(max_length=100)], int | Finite], Field(max_length=100)
     ] = Field(default_factory=dict, description="Fields of the engine's configuration; the rest is default.")
+    known_anchors_m: Annotated[list[Pair], Field(max_length=1000)] | None = Field(
+        None, description="The anchors' places in the estimator's frame, for methods that know them."
+    )
     start_frame: StartFrame | None = None
 
     @model_validator(mode="after")
     def _distinct(self) -> SessionRequest:
         if len(set(self.anchors)) != len(self.anchors):
             raise ValueError("anchors: expected names that differ")
+        if self.known_anchors_m is not None and len(self.known_anchors_m) != len(self.anchors):
+            raise ValueError(f"known_anchors_m: expected {len(self.anchors)} places, one an anchor")
         return self
 
     def config(self) -> dict[str, Any]:

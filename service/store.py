@@ -20,13 +20,15 @@ from typing import Any
 import sqlalchemy as sa
 from alembic import command
 from alembic.config import Config
+from alembic.util import CommandError
 from sqlalchemy import URL, Connection, Engine, Row, event
+from sqlalchemy.exc import DBAPIError
 
-from service.errors import NotFoundError
+from service.errors import DatabaseError, NotFoundError
 from service.fold import Folded, digest
 from service.tables import estimates, measurements, sessions, snapshots, truths
 
-__all__ = ["RevisionError", "Step", "Store", "migrate", "open_engine"]
+__all__ = ["RevisionError", "Step", "Store", "opened"]
 
 _MIGRATION_LOCK = 7_305_826  # any number that no one else locks on
 
@@ -89,6 +91,29 @@ def migrate(engine: Engine) -> None:
             connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_MIGRATION_LOCK)))
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
+
+
+@contextmanager
+def opened(url: URL, lock_timeout_s: float) -> Iterator[Engine]:
+    """A database with its tables up to date, closed afterwards.
+
+    Raises
+    ------
+    DatabaseError
+        If it cannot be reached, read or written.
+    """
+    engine = open_engine(url, lock_timeout_s)
+    try:
+        try:
+            migrate(engine)
+        except (DBAPIError, CommandError) as error:
+            reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
+            raise DatabaseError(
+                f"database {url.render_as_string()}: expected one that can be opened: {reason}"
+            ) from error
+        yield engine
+    finally:
+        engine.dispose()
 
 
 class Step:

@@ -9,8 +9,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 from sqlalchemy import Row
 
-from estimator.errors import ConfigurationError
-from estimator.slam.run import ENGINES, METHODS
+from estimator.slam.methods import PAIRS
 from service.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
 from service.documents import dump
 from service.errors import TooLargeError, TooManyError
@@ -26,16 +25,7 @@ router = APIRouter(prefix="/v1", tags=["sessions"])
 @router.get("/methods", summary="What a session's method and engine may be")
 async def methods(who: CallerDep) -> list[dict[str, str]]:
     """Pairs of method (what is known and sensed) and engine (how inference is done)."""
-    probe = {"anchors": ["a"], "carrier_hz": 1e9, "measurement_model": {}}
-    pairs = []
-    for method in METHODS:
-        for engine in ENGINES:
-            try:
-                engine_of({**probe, "method": method, "engine": engine})
-            except ConfigurationError:
-                continue
-            pairs.append({"method": method, "engine": engine})
-    return pairs
+    return [{"method": method, "engine": engine} for method, engine in PAIRS]
 
 
 @router.post("/sessions", status_code=201, summary="Make a session")

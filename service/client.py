@@ -1,0 +1,203 @@
+"""A small client of the service: typed calls, retries, resumption.
+
+Every call may be repeated without harm, for epochs are known by their numbers. So the
+client repeats what failed for the moment: no connection, no answer, 429, 502, 503, 504.
+
+>>> with Client("http://127.0.0.1:8600") as client:  # doctest: +SKIP
+...     session = client.create_session({"anchors": ["pa1"], "carrier_hz": 28e9})
+...     client.post_epochs(session, [{"epoch": 0, "time_s": 0.0, "anchors": {}}])
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from types import TracebackType
+from typing import Any
+
+import httpx2
+
+from estimator.errors import HapslamError
+
+__all__ = ["Client", "ServiceUnavailableError", "UnexpectedAnswerError"]
+
+_MOMENTARY = frozenset((429, 502, 503, 504))
+
+
+class UnexpectedAnswerError(HapslamError):
+    """The service refused a request; ``status`` and ``problem`` say why."""
+
+    def __init__(self, status: int, problem: Mapping[str, Any]) -> None:
+        super().__init__(f"the service answered {status}: {problem.get('detail', problem)}")
+        self.status = status
+        self.problem = dict(problem)
+
+
+class ServiceUnavailableError(HapslamError):
+    """The service could not be reached, in spite of all attempts."""
+
+
+class Client:
+    """Calls of one service.
+
+    Parameters
+    ----------
+    url : str
+        Where it is, such as ``http://127.0.0.1:8600``.
+    key : str, optional
+        API key.
+    attempts : int
+        How often a call is tried.
+    patience_s : float
+        Longest pause between two attempts, seconds.
+    timeout_s : float
+        Longest time of one attempt, seconds.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        key: str | None = None,
+        attempts: int = 10,
+        patience_s: float = 10.0,
+        timeout_s: float = 120.0,
+    ) -> None:
+        headers = {} if key is None else {"Authorization": f"Bearer {key}"}
+        try:
+            self._http = httpx2.Client(base_url=url, headers=headers, timeout=timeout_s)
+        except httpx2.InvalidURL as error:
+            raise ServiceUnavailableError(
+                f"url: expected an address like http://127.0.0.1:8600: {error}"
+            ) from error
+        self._url, self._attempts, self._patience_s = url, attempts, patience_s
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._http.close()
+
+    def create_session(self, request: Mapping[str, Any]) -> str:
+        """Make a session; its id. ``request`` as ``POST /v1/sessions`` takes it."""
+        return str(self._call("POST", "/v1/sessions", json=dict(request))["id"])
+
+    def session(self, session: str) -> dict[str, Any]:
+        """A session: its configuration, and what it expects next."""
+        return self._call("GET", f"/v1/sessions/{session}")
+
+    def delete_session(self, session: str) -> None:
+        """Remove a session with everything of it."""
+        self._call("DELETE", f"/v1/sessions/{session}")
+
+    def post_sweep(self, session: str, sweep: Mapping[str, Any]) -> None:
+        """Add a sweep: ``{"sweep": 0, "walls": [...]}`` or with ``flashes``."""
+        self._call("POST", f"/v1/sessions/{session}/sweeps", json=dict(sweep))
+
+    def post_epochs(self, session: str, epochs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Add consecutive epochs; the state after the last."""
+        answer = self._call("POST", f"/v1/sessions/{session}/epochs", json={"epochs": list(epochs)})
+        state: dict[str, Any] = answer["state"]
+        return state
+
+    def put_truth(self, session: str, truth: Mapping[str, Any]) -> None:
+        """Give the truth, for the page to show beside."""
+        self._call("PUT", f"/v1/sessions/{session}/truth", json=dict(truth))
+
+    def state(self, session: str, epoch: int | None = None) -> dict[str, Any]:
+        """The estimates at an epoch, by default the latest."""
+        return self._call("GET", f"/v1/sessions/{session}/state", params=_given(epoch=epoch))
+
+    def trajectory(self, session: str, first: int = 0) -> dict[str, list[Any]]:
+        """The track as columns."""
+        return self._call("GET", f"/v1/sessions/{session}/trajectory", params={"first": first})
+
+    def map(self, session: str, epoch: int | None = None) -> dict[str, Any]:
+        """Walls, anchors, agent and track."""
+        return self._call("GET", f"/v1/sessions/{session}/map", params=_given(epoch=epoch))
+
+    def export(self, session: str) -> bytes:
+        """All estimates as a result file (netCDF)."""
+        return self._send("GET", f"/v1/sessions/{session}/export").content
+
+    def events(self, session: str, after: int = -1) -> Iterator[dict[str, Any]]:
+        """The states after every epoch beyond ``after``, as they come; ends when the session is deleted."""
+        failures = 0
+        while True:
+            headers = {"Last-Event-ID": str(after)} if after >= 0 else {}
+            try:
+                with self._http.stream("GET", f"/v1/sessions/{session}/events", headers=headers) as stream:
+                    if stream.status_code != 200:
+                        stream.read()
+                        raise UnexpectedAnswerError(stream.status_code, _problem(stream))
+                    for event, data in _events(stream.iter_lines()):
+                        if event == "deleted":
+                            return
+                        state = json.loads(data)
+                        after, failures = state["epoch"], 0
+                        yield state
+            except httpx2.TransportError as error:
+                failures += 1
+                if failures >= self._attempts:
+                    raise ServiceUnavailableError(f"{self._url}: {error}") from error
+                self._pause(failures, None)
+
+    def _call(self, method: str, path: str, **content: Any) -> dict[str, Any]:
+        answer = self._send(method, path, **content)
+        found: dict[str, Any] = answer.json() if answer.content else {}
+        return found
+
+    def _send(self, method: str, path: str, **content: Any) -> httpx2.Response:
+        reason = ""
+        for attempt in range(1, self._attempts + 1):
+            wait = None
+            try:
+                answer = self._http.request(method, path, **content)
+            except httpx2.TransportError as error:
+                reason = str(error) or type(error).__name__
+            else:
+                if answer.is_success:
+                    return answer
+                if answer.status_code not in _MOMENTARY:
+                    raise UnexpectedAnswerError(answer.status_code, _problem(answer))
+                reason = f"it answered {answer.status_code}: {_problem(answer).get('detail')}"
+                wait = answer.headers.get("Retry-After")
+            if attempt < self._attempts:
+                self._pause(attempt, wait)
+        raise ServiceUnavailableError(
+            f"{self._url}: expected an answer, tried {self._attempts} times; at last: {reason}"
+        )
+
+    def _pause(self, attempt: int, retry_after: str | None) -> None:
+        asked = float(retry_after) if retry_after and retry_after.isdigit() else 0.0
+        spread = random.uniform(0.5, 1.0)  # so that clients do not come back all at once
+        time.sleep(min(self._patience_s, max(asked, 0.1 * 2.0**attempt)) * spread)
+
+
+def _given(**values: Any) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _problem(answer: httpx2.Response) -> dict[str, Any]:
+    try:
+        found = answer.json()
+    except ValueError:
+        return {"detail": answer.text[:200]}
+    return found if isinstance(found, dict) else {"detail": str(found)[:200]}
+
+
+def _events(lines: Iterator[str]) -> Iterator[tuple[str, str]]:
+    """Events and data of a stream of server-sent events."""
+    event, data = "message", ""
+    for line in lines:
+        if not line:
+            if data:
+                yield event, data
+            event, data = "message", ""
+        elif line.startswith("event: "):
+            event = line[7:]
+        elif line.startswith("data: "):
+            data = line[6:]

@@ -1,0 +1,136 @@
+"""Who may use the service: keys, their sessions, and callers without a key."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+from fastapi.testclient import TestClient
+
+from estimator.errors import ConfigurationError
+from service.app import create_app
+from service.auth import KeyRing, is_loopback
+from service.errors import DatabaseError, NotFoundError
+from service.serve import check_binding
+from service.settings import load_settings
+from service.store import opened
+from service.tables import api_keys
+
+
+@pytest.fixture
+def keys(database: str) -> Iterator[KeyRing]:
+    """The keys in the test's database."""
+    with opened(load_settings(database_url=database).url, 5.0) as engine:
+        yield KeyRing(engine)
+
+
+def _as(key: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {key}"}
+
+
+def test_a_key_opens_its_own_sessions_alone(
+    keys: KeyRing, client: TestClient, make_request: Callable[..., Any], epochs_request: Callable[..., Any]
+) -> None:
+    """In every route a session of another key is as unknown as one that never was."""
+    ann, bob = keys.create("ann"), keys.create("bob")
+    url = client.post("/v1/sessions", json=make_request(), headers=_as(ann)).headers["Location"]
+    routes = [
+        ("GET", url, None),
+        ("DELETE", url, None),
+        ("POST", f"{url}/sweeps", {"sweep": 0}),
+        ("POST", f"{url}/epochs", epochs_request(0, 1)),
+        ("PUT", f"{url}/truth", {}),
+        *(("GET", f"{url}/{leaf}", None) for leaf in _LEAVES),
+    ]
+    for method, route, body in routes:
+        foreign = client.request(method, route, json=body, headers=_as(bob))
+        never = client.request(method, route.replace(url[-32:], "0" * 32), json=body, headers=_as(bob))
+        assert (foreign.status_code, never.status_code) == (404, 404), route
+        assert foreign.json()["detail"].replace(url[-32:], "0" * 32) == never.json()["detail"]
+    assert client.get("/v1/sessions", headers=_as(bob)).json()["sessions"] == []
+    assert client.get(url, headers=_as(ann)).status_code == 200
+
+
+_LEAVES = ("state", "trajectory", "map", "map.svg", "map.png", "export", "measurements", "truth", "events")
+
+
+def test_without_a_valid_key_there_is_no_entry(keys: KeyRing, client: TestClient) -> None:
+    """No key, a wrong scheme, a wrong secret, a revoked key, rubbish: 401 each."""
+    key = keys.create("ann")
+    assert client.get("/v1/sessions", headers=_as(key)).status_code == 200
+    wrong = key[:-1] + ("A" if key[-1] != "A" else "B")
+    for headers in ({}, {"Authorization": f"Basic {key}"}, _as(wrong), _as("x" * 5000), _as("hapslam_")):
+        answer = client.get("/v1/sessions", headers=headers)
+        assert answer.status_code == 401
+        assert answer.headers["WWW-Authenticate"] == "Bearer"
+    keys.revoke(keys.list()[0].id)
+    assert client.get("/v1/sessions", headers=_as(key)).status_code == 401
+
+
+def test_keys_are_kept_as_digests(keys: KeyRing) -> None:
+    """Neither the key nor its secret stands in the database; a key can be revoked once."""
+    key = keys.create("ann")
+    secret = key.rsplit("_", 1)[0], key[21:]
+    with keys._engine.connect() as connection:
+        row = connection.execute(sa.select(api_keys)).one()
+    assert all(part.encode() not in bytes(row.secret_sha256) for part in secret)
+    assert len(row.secret_sha256) == 32
+    keys.revoke(row.id)
+    with pytest.raises(NotFoundError, match="in force"):
+        keys.revoke(row.id)
+
+
+def test_secrets_are_compared_in_constant_time(
+    keys: KeyRing, client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The comparison goes through hmac.compare_digest, also for keys that do not exist."""
+    compared = []
+    monkeypatch.setattr(
+        "service.auth.hmac.compare_digest", lambda a, b: compared.append((len(a), len(b))) or a == b
+    )
+    key = keys.create("ann")
+    client.get("/v1/sessions", headers=_as(key))
+    client.get("/v1/sessions", headers=_as("hapslam_000000000000_" + "a" * 43))
+    assert compared == [(32, 32), (32, 32)]
+
+
+def test_without_keys_only_this_machine_is_served(database: str) -> None:
+    """From elsewhere, or under another machine's name, 403; on this machine all is well."""
+    app = create_app(load_settings(database_url=database, workers=0))
+    for client_address, base, status in (
+        ("127.0.0.1", "http://localhost", 200),
+        ("::1", "http://[::1]:8600", 200),
+        ("192.0.2.7", "http://localhost", 403),
+        ("127.0.0.1", "http://evil.example", 403),
+    ):
+        with TestClient(app, base_url=base, client=(client_address, 5000)) as client:
+            assert client.get("/v1/sessions").status_code == status, (client_address, base)
+
+
+def test_listening_elsewhere_needs_a_key(keys: KeyRing, database: str) -> None:
+    """Binding beyond loopback is refused until a key exists."""
+    settings = load_settings(database_url=database, host="0.0.0.0")
+    with pytest.raises(ConfigurationError, match="hapslam key create"):
+        check_binding(settings)
+    check_binding(load_settings(database_url=database, host="::1"))
+    keys.create("ann")
+    check_binding(settings)
+
+
+def test_what_is_loopback() -> None:
+    """Names and addresses of this machine, and those that only look so."""
+    assert all(map(is_loopback, ("127.0.0.1", "127.8.9.1", "::1", "[::1]", "localhost")))
+    assert not any(map(is_loopback, ("0.0.0.0", "::", "10.0.0.1", "localhost.example", "", None)))
+
+
+def test_a_database_that_cannot_be_opened_is_told() -> None:
+    """A folder that does not exist gives one clear line, without the password of a URL."""
+    settings = load_settings(database_url="sqlite:////nowhere/at/all.db")
+    with pytest.raises(DatabaseError, match="expected one that can be opened"):
+        check_binding(settings)
+    hidden = load_settings(database_url="postgresql://me:secret@127.0.0.1:1/none")
+    with pytest.raises(DatabaseError) as caught:
+        check_binding(hidden)
+    assert "secret" not in str(caught.value)
