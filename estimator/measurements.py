@@ -70,22 +70,34 @@ class AnchorPaths:
     gain_db : array_like, shape (n,), optional
         Channel gain ``|a|^2`` (received power over EIRP), dB; free space gives
         minus the free-space loss. Without it (None) powers inform nothing.
+    azimuth_rad, azimuth_std_rad : array_like, shape (n,), optional
+        Directions of arrival in the agent's axes, radians, and their standard
+        deviations; both or neither.
     """
 
     delay_s: Array
     delay_std_s: Array
     gain_db: Array | None = None
+    azimuth_rad: Array | None = None
+    azimuth_std_rad: Array | None = None
 
     def __post_init__(self) -> None:
         delay = _finite("delay_s", self.delay_s, (None,))
         object.__setattr__(self, "delay_std_s", _finite("delay_std_s", self.delay_std_s, delay.shape))
-        if self.gain_db is not None:
-            object.__setattr__(self, "gain_db", _finite("gain_db", self.gain_db, delay.shape))
+        for name in ("gain_db", "azimuth_rad", "azimuth_std_rad"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _finite(name, getattr(self, name), delay.shape))
         object.__setattr__(self, "delay_s", delay)
         if np.any(delay <= 0.0):
             raise InputError(f"delay_s: expected positive times of flight, got {delay.min()} s")
         if np.any(self.delay_std_s <= 0.0):
             raise InputError(f"delay_std_s: expected positive numbers, got {self.delay_std_s.min()} s")
+        if (self.azimuth_rad is None) != (self.azimuth_std_rad is None):
+            raise InputError("azimuth_rad, azimuth_std_rad: expected both or neither, got one of them")
+        if self.azimuth_std_rad is not None and np.any(self.azimuth_std_rad <= 0.0):
+            raise InputError(
+                f"azimuth_std_rad: expected positive numbers, got {self.azimuth_std_rad.min()} rad"
+            )
 
     @property
     def range_m(self) -> Array:
@@ -113,11 +125,19 @@ class Epoch:
         Time since the first epoch, seconds.
     paths : tuple of AnchorPaths
         One entry per anchor, always in the same order.
+    sweep : tuple of GaussianVrp
+        Walls that a beam sweep at this epoch saw: the agent's own mirror images relative
+        to the agent, in its axes.
+    heading_held : bool
+        Whether the agent's axes are still those of the start. If not, directions and
+        sweeps tell angles between things, but nothing of the map's rotation.
     """
 
     index: int
     time_s: float
     paths: tuple[AnchorPaths, ...]
+    sweep: tuple[GaussianVrp, ...] = ()
+    heading_held: bool = True
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,18 +9,21 @@ type as the ray-traced chain's, so every engine runs on either.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import ConfigurationError, InputError
-from estimator.geometry import vrp_of_line
+from estimator.geometry import mirror_in_wall, segments_cross, vrp_of_line
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.specular import SpecularPaths, specular_paths
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 
-__all__ = ["SimulationConfig", "measure_scene", "simulate_epochs", "simulate_walls"]
+__all__ = ["SimulationConfig", "measure_scene", "simulate_epochs", "simulate_sweep", "simulate_walls"]
+
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,18 @@ class SimulationConfig:
         Largest number of bounces.
     step_s : float
         Time between epochs, seconds.
+    azimuth_std_rad : float
+        Standard deviation of directions of arrival, radians; 0: none are measured.
+    clock_bias_m : float
+        Constant clock bias of all anchors as a path length, metres.
+    sweep_every : int
+        Epochs between beam sweeps after the one at the start; 0: no more sweeps.
+    sweep_variance : float
+        Variance per axis of a wall seen by a later sweep over its squared distance: the
+        paper's four variances at the start are 8.9e-4 of it on average.
+    heading_held : bool
+        Whether the agent's axes stay those of the start; if not, each epoch has a
+        heading of its own.
     """
 
     range_std_m: float = 0.1
@@ -49,6 +64,11 @@ class SimulationConfig:
     region_m: float = 180.0
     order: int = 1
     step_s: float = 1.0
+    azimuth_std_rad: float = 0.0
+    clock_bias_m: float = 0.0
+    sweep_every: int = 0
+    sweep_variance: float = 8.9e-4
+    heading_held: bool = True
 
     def __post_init__(self) -> None:
         for name in ("range_std_m", "region_m", "step_s"):
@@ -90,7 +110,7 @@ def simulate_walls(
 def simulate_epochs(
     paths: SpecularPaths, config: SimulationConfig, rng: np.random.Generator
 ) -> tuple[Epoch, ...]:
-    """Noisy, thinned and cluttered path lengths of every epoch, sorted by delay.
+    """Noisy, thinned and cluttered paths of every epoch, sorted by delay.
 
     Parameters
     ----------
@@ -103,22 +123,72 @@ def simulate_epochs(
     """
     epochs = []
     for t in range(paths.length_m.shape[0]):
+        heading = 0.0 if config.heading_held else float(rng.uniform(-np.pi, np.pi))
         heard = tuple(
-            _hear(paths.length_m[t, k][paths.visible[t, k]], config, rng)
-            for k in range(paths.length_m.shape[1])
+            _hear(paths.length_m[t, k][seen], paths.azimuth_rad[t, k][seen] - heading, config, rng)
+            for k, seen in enumerate(paths.visible[t])
         )
-        epochs.append(Epoch(t, t * config.step_s, heard))
+        epochs.append(Epoch(t, t * config.step_s, heard, heading_held=config.heading_held))
     return tuple(epochs)
 
 
-def _hear(lengths: NDArray[np.float64], config: SimulationConfig, rng: np.random.Generator) -> AnchorPaths:
-    detected = lengths[rng.random(lengths.size) < config.detection_probability]
-    noisy = detected + rng.normal(scale=config.range_std_m, size=detected.size)
+def _hear(lengths: Array, azimuths: Array, config: SimulationConfig, rng: np.random.Generator) -> AnchorPaths:
+    """One anchor's paths in one epoch."""
+    detected = rng.random(lengths.size) < config.detection_probability
+    count = int(detected.sum())
+    noisy = lengths[detected] + config.clock_bias_m + rng.normal(scale=config.range_std_m, size=count)
     clutter = rng.uniform(0.0, config.region_m, size=rng.poisson(config.clutter_mean))
     ranges = np.concatenate([noisy, clutter])
-    ranges = np.sort(ranges[(ranges > 0.0) & (ranges <= config.region_m)])
-    std = np.full(ranges.size, config.range_std_m / SPEED_OF_LIGHT_M_S)
-    return AnchorPaths(ranges / SPEED_OF_LIGHT_M_S, std)
+    order = np.argsort(ranges, kind="stable")
+    order = order[(ranges[order] > 0.0) & (ranges[order] <= config.region_m)]
+    std_s = np.full(order.size, config.range_std_m / SPEED_OF_LIGHT_M_S)
+    if config.azimuth_std_rad == 0.0:
+        return AnchorPaths(ranges[order] / SPEED_OF_LIGHT_M_S, std_s)
+    true = azimuths[detected] + rng.normal(scale=config.azimuth_std_rad, size=count)
+    every = np.concatenate([true, rng.uniform(-np.pi, np.pi, size=clutter.size)])
+    azimuth = np.angle(np.exp(1j * every[order]))
+    azimuth_std = np.full(order.size, config.azimuth_std_rad)
+    return AnchorPaths(
+        ranges[order] / SPEED_OF_LIGHT_M_S, std_s, azimuth_rad=azimuth, azimuth_std_rad=azimuth_std
+    )
+
+
+def simulate_sweep(
+    start_m: ArrayLike, end_m: ArrayLike, position_m: ArrayLike, variance: float, rng: np.random.Generator
+) -> tuple[GaussianVrp, ...]:
+    """What a beam sweep sees from a place: the walls with their perpendicular foot in view.
+
+    Parameters
+    ----------
+    start_m, end_m : array_like, shape (L, 2)
+        Wall end points, metres.
+    position_m : array_like, shape (2,)
+        The agent, metres.
+    variance : float
+        Variance per axis over the squared distance.
+    rng : Generator
+        Source of randomness.
+
+    Returns
+    -------
+    tuple of GaussianVrp
+        The agent's mirror images relative to the agent, in the plan's axes.
+    """
+    start, end = np.asarray(start_m, dtype=np.float64), np.asarray(end_m, dtype=np.float64)
+    position = np.asarray(position_m, dtype=np.float64)
+    images = mirror_in_wall(position, start, end)
+    flashes = []
+    for wall, image in enumerate(images):
+        others = [i for i in range(len(start)) if i != wall]
+        foot = 0.5 * (position + image)
+        if not segments_cross(position, image, start[wall], end[wall], margin=0.0):
+            continue
+        if np.any(segments_cross(position, foot, start[others], end[others])):
+            continue
+        spread = variance * float(np.sum((foot - position) ** 2))
+        noise = rng.normal(scale=np.sqrt(spread), size=2)
+        flashes.append(GaussianVrp(image - position + noise, spread * np.eye(2)))
+    return tuple(flashes)
 
 
 def measure_scene(
@@ -159,8 +229,10 @@ def measure_scene(
     walls = simulate_walls(vrps, wall_variances_m2, rng)
     paths = specular_paths(start_m, end_m, anchors_m, track_m, config.order)
     epochs = simulate_epochs(paths, config, rng)
+    if config.sweep_every:
+        epochs = tuple(_with_sweep(epoch, start_m, end_m, track_m, config, rng) for epoch in epochs)
     names = tuple(f"pa{k + 1}" for k in range(paths.length_m.shape[1]))
-    model = {
+    model: dict[str, float | bool] = {
         "range_std_m": config.range_std_m,
         "detection_probability": min(max(config.detection_probability, 0.01), 0.99),
         "clutter_mean": config.clutter_mean,
@@ -168,6 +240,23 @@ def measure_scene(
         "height2_mean_m2": 0.0,
         "height2_std_m2": 0.0,
     }
+    if config.clock_bias_m:
+        model |= {"clock_bias_std_m": abs(config.clock_bias_m), "clock_bias_common": True}
     settings = {"simulation": asdict(config), "measurement_model": model}
     places = np.asarray(anchors_m, dtype=np.float64).reshape(-1, 2) - reference if know_anchors else None
     return MeasurementSet(names, walls, epochs, carrier_hz, settings, known_anchors_m=places)
+
+
+def _with_sweep(
+    epoch: Epoch,
+    start_m: ArrayLike,
+    end_m: ArrayLike,
+    track_m: ArrayLike,
+    config: SimulationConfig,
+    rng: np.random.Generator,
+) -> Epoch:
+    """The epoch with a beam sweep, if one is due."""
+    if epoch.index == 0 or epoch.index % config.sweep_every:
+        return epoch
+    place = np.asarray(track_m, dtype=np.float64)[epoch.index]
+    return replace(epoch, sweep=simulate_sweep(start_m, end_m, place, config.sweep_variance, rng))

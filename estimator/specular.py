@@ -32,11 +32,14 @@ class SpecularPaths:
         Path lengths, metres, whether valid or not.
     visible : ndarray of bool, shape (T, K, F)
         Whether the path exists.
+    azimuth_rad : ndarray, shape (T, K, F)
+        Direction of arrival: of the source (the anchor or its image) seen from the agent.
     """
 
     walls: tuple[tuple[int, ...], ...]
     length_m: NDArray[np.float64]
     visible: NDArray[np.bool_]
+    azimuth_rad: NDArray[np.float64]
 
 
 def _clear(
@@ -76,14 +79,16 @@ def specular_paths(
     if order < 0:
         raise InputError(f"order: expected 0 or more bounces, got {order}")
     sequences: list[tuple[int, ...]] = []
-    lengths, visible = [], []
+    lengths, visible, azimuths = [], [], []
     for bounces in range(order + 1):
         for sequence in _sequences(len(start), bounces):
-            length, seen = _trace(sequence, start, end, anchors, positions)
+            offset, seen = _trace(sequence, start, end, anchors, positions)
             sequences.append(sequence)
-            lengths.append(length)
+            lengths.append(np.linalg.norm(offset, axis=-1))
+            azimuths.append(np.arctan2(offset[..., 1], offset[..., 0]))
             visible.append(seen)
-    return SpecularPaths(tuple(sequences), np.stack(lengths, axis=-1), np.stack(visible, axis=-1))
+    columns = (np.stack(column, axis=-1) for column in (lengths, visible, azimuths))
+    return SpecularPaths(tuple(sequences), *columns)
 
 
 def _sequences(walls: int, bounces: int) -> list[tuple[int, ...]]:
@@ -101,13 +106,13 @@ def _trace(
     anchors: NDArray[np.float64],
     positions: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Length and validity (T, K) of one wall sequence, by the image method."""
+    """Way to the source (T, K, 2) and validity (T, K) of one wall sequence, by the image method."""
     images = [anchors]
     for wall in sequence:
         images.append(mirror_in_wall(images[-1], start[wall], end[wall]))
     shape = (len(positions), len(anchors), 2)
     point = np.broadcast_to(positions[:, None, :], shape)
-    length = np.linalg.norm(point - images[-1][None], axis=-1)
+    offset = images[-1][None] - point
     seen = np.ones(shape[:2], dtype=bool)
     for wall, image in zip(reversed(sequence), reversed(images[1:]), strict=True):
         target = np.broadcast_to(image[None], shape)
@@ -122,4 +127,4 @@ def _trace(
         point = bounce
     last = [i for i in range(len(start)) if not sequence or i != sequence[0]]
     seen &= _clear(point, np.broadcast_to(anchors[None], shape), start[last], end[last])
-    return length, seen
+    return offset, seen

@@ -9,7 +9,7 @@ candidates, each is scored by all the paths, refined, and weighed by its evidenc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from estimator.slam.association import associate
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import reflect, wall_side
 
-__all__ = ["Candidates", "Centres", "PathBatch", "evidence_at", "images_of_agent", "locate"]
+__all__ = ["Candidates", "Centres", "PathBatch", "best_of", "evidence_at", "images_of_agent", "locate"]
 
 Array = NDArray[np.float64]
 _SURE = 0.9  # association probability from which a label is believed
@@ -88,6 +88,8 @@ class Candidates:
         Number of paths of up to one bounce that are explained.
     label : ndarray of int64, shape (S, C)
         For each centre the path that belongs to it, -1 for none or if in doubt.
+    bias_m : ndarray, shape (S,)
+        Clock bias that was taken off the path lengths.
     """
 
     mean_m: Array
@@ -95,6 +97,23 @@ class Candidates:
     log_evidence: Array
     matches: NDArray[np.int64]
     label: NDArray[np.int64]
+    bias_m: Array
+
+    def at_bias(self, bias_m: float, log_prior: float = 0.0) -> Candidates:
+        """The candidates found after ``bias_m`` was taken off, with its log prior added."""
+        return replace(
+            self,
+            log_evidence=self.log_evidence + log_prior,
+            bias_m=np.full(len(self.mean_m), bias_m),
+        )
+
+
+def best_of(found: list[Candidates], config: GaussianConfig) -> Candidates:
+    """The candidates of several searches as one, the best ``start_attempts`` of all."""
+    joined = Candidates(*(np.concatenate([getattr(c, f.name) for c in found]) for f in fields(Candidates)))
+    order = np.argsort(-joined.log_evidence, kind="stable")[: config.start_attempts]
+    order = order[joined.log_evidence[order] > joined.log_evidence.max(initial=-np.inf) - config.prune_nats]
+    return Candidates(*(getattr(joined, f.name)[order] for f in fields(Candidates)))
 
 
 def images_of_agent(
@@ -280,6 +299,7 @@ def locate(
         np.empty(0),
         np.empty(0, dtype=np.int64),
         np.empty((0, len(centres.epoch)), dtype=np.int64),
+        np.empty(0),
     )
     seeds = _seeds(centres, paths, seed_epochs)
     if len(seeds) == 0:
@@ -302,7 +322,9 @@ def locate(
     covariance = np.linalg.inv(information)
     kept = _distinct(points, total, 0.5, config.start_attempts)
     kept = kept[total[kept] > total[kept[0]] - config.prune_nats]
-    return Candidates(points[kept], covariance[kept], total[kept], matches[kept], label[kept])
+    return Candidates(
+        points[kept], covariance[kept], total[kept], matches[kept], label[kept], np.zeros(kept.size)
+    )
 
 
 def evidence_at(

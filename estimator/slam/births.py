@@ -122,8 +122,7 @@ def _densest(points: Array, now: int, config: GaussianConfig) -> Line | None:
 def wall_bank(
     line: Line,
     position: Array,
-    anchor: Array,
-    height2: float,
+    device: Array,
     walls: Array,
     spans: Array,
     config: GaussianConfig,
@@ -136,10 +135,8 @@ def wall_bank(
         The paths.
     position : ndarray, shape (N, 2)
         The agent at the line's epochs, gauge frame, metres.
-    anchor : ndarray, shape (2,)
-        The anchor, gauge frame, metres.
-    height2 : float
-        Squared height difference of agent and anchor.
+    device : ndarray, shape (4,)
+        The anchor in the state vector: position, squared height difference, clock bias.
     walls : ndarray, shape (L, 2)
         Known VRPs.
     spans : ndarray, shape (L, 2)
@@ -147,7 +144,8 @@ def wall_bank(
     config : GaussianConfig
         ``birth_spacing_rad``, ``prune_nats`` and the test radius.
     """
-    flat = np.sqrt(np.maximum(line.length_m**2 - height2, 1.0))
+    anchor = device[:2]
+    flat = np.sqrt(np.maximum((line.length_m - device[3]) ** 2 - device[2], 1.0))
     bearing = np.arange(0.0, 2.0 * np.pi, config.birth_spacing_rad)
     unit = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     here = position[-1]

@@ -35,6 +35,11 @@ class GaussianConfig:
     height2_mean_m2, height2_std_m2 : float
         Prior of the squared height difference of anchor and agent, square metres;
         (0, 0) for planar measurements.
+    clock_bias_std_m : float
+        Standard deviation of the anchors' unknown constant clock bias as a path length,
+        metres; 0 if the clocks agree.
+    clock_bias_common : bool
+        Whether all anchors have the same bias.
     appear_probability, vanish_probability : float
         Per epoch, that an invisible feature becomes visible and the reverse.
     start_matches : int
@@ -82,6 +87,8 @@ class GaussianConfig:
     velocity_std_m_s: float = 1.0
     height2_mean_m2: float = 1.0
     height2_std_m2: float = 1.0
+    clock_bias_std_m: float = 0.0
+    clock_bias_common: bool = False
     appear_probability: float = 0.01
     vanish_probability: float = 0.01
     start_matches: int = 4
@@ -111,7 +118,13 @@ class GaussianConfig:
                     f"GaussianConfig.{entry.name}: expected a finite number, got {value!r}"
                 )
             signed = entry.name in ("birth_log_prior",)
-            zero = entry.name in ("height2_mean_m2", "height2_std_m2", "clutter_mean")
+            zero = entry.name in (
+                "height2_mean_m2",
+                "height2_std_m2",
+                "clutter_mean",
+                "clock_bias_std_m",
+                "clock_bias_common",
+            )
             if not signed and (value < 0 or (value == 0 and not zero)):
                 raise ConfigurationError(
                     f"GaussianConfig.{entry.name}: expected a positive number, got {value!r}"

@@ -80,8 +80,7 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         np.full((layout.anchors, 2, 2), np.nan),
     )
     for k in np.flatnonzero(valid):
-        place = layout.anchor(int(k))
-        xy = slice(place.start, place.start + 2)
+        xy = layout.anchor_xy(int(k))
         anchors[k], anchor_covariances[k] = _subset(state, weight, rows.located[:, k], xy)
     found = np.flatnonzero(state.slots.confirmed & rows.present[best])
     walls, wall_covariances = np.empty((found.size, 2)), np.empty((found.size, 2, 2))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.slam.layout import Layout
 
-__all__ = ["Prediction", "predict_paths", "reflect", "wall_side"]
+__all__ = ["Prediction", "predict_azimuths", "predict_paths", "reflect", "wall_side"]
 
 Array = NDArray[np.float64]
 
@@ -33,11 +33,14 @@ class Prediction:
         Derivatives by the state vector.
     possible : ndarray of bool, shape (R, K, F)
         Whether the bounces are geometrically possible if the walls were infinite.
+    offset_m : ndarray, shape (R, K, F, 2)
+        The agent as seen from the feature's source (the anchor or its image).
     """
 
     length_m: Array
     jacobian: Array
     possible: NDArray[np.bool_]
+    offset_m: Array
 
 
 def reflect(point: Array, vrp: Array) -> Array:
@@ -67,6 +70,70 @@ def _flip(direction: Array, vrp: Array) -> Array:
     return np.asarray(direction - 2.0 * along / square * vrp)
 
 
+class _Room:
+    """The parts of state vectors, and how a shift of a source follows from theirs."""
+
+    def __init__(self, mean: Array, layout: Layout) -> None:
+        rows, self.layout = len(mean), layout
+        devices = mean[:, layout.FIRST_ANCHOR : layout.walls.start].reshape(rows, -1, layout.PER_ANCHOR)
+        self.agent = mean[:, None, 0:2]  # (R, 1, 2)
+        self.anchor, self.height2, self.bias = devices[..., 0:2], devices[..., 2], devices[..., 3]
+        self.wall = mean[:, layout.walls].reshape(rows, 1, layout.slots, 2)
+        self.first, self.second = self.wall[:, :, :, None, :], self.wall[:, :, None, :, :]  # of (l, m)
+        self.image = reflect(self.anchor[:, :, None, :], self.wall)  # (R, K, L, 2)
+        self.double = reflect(self.image[:, :, :, None, :], self.second)  # (R, K, L, M, 2)
+
+    def sources(self) -> Array:
+        """The anchors and their images, (R, K, F, 2)."""
+        rows, anchors = self.anchor.shape[:2]
+        flat = self.double.reshape(rows, anchors, -1, 2)
+        return np.concatenate([self.anchor[:, :, None], self.image, flat], axis=2)
+
+    def pull_back(self, covector: Array) -> Array:
+        """Derivatives (R, K, F, n) of something that depends on agent minus source by ``covector``."""
+        layout = self.layout
+        rows, anchors, features = covector.shape[:3]
+        slots = layout.slots
+        singles = covector[:, :, 1 : 1 + slots]
+        doubles = covector[:, :, 1 + slots :].reshape(rows, anchors, slots, slots, 2)
+        before = _flip(doubles, self.second)  # seen from between the two bounces
+        jacobian = np.zeros((rows, anchors, features, layout.size))
+        jacobian[..., 0:2] = covector
+        flipped = _flip(before, self.first).reshape(rows, anchors, -1, 2)
+        by_anchor = np.concatenate([covector[:, :, :1], _flip(singles, self.wall), flipped], axis=2)
+        for k in range(anchors):
+            jacobian[:, k, :, layout.anchor_xy(k)] = -by_anchor[:, k]
+        by_wall = -_by_wall(self.anchor[:, :, None, :], self.wall, singles)
+        by_first = -_by_wall(self.anchor[:, :, None, None, :], self.first, before)
+        by_second = -_by_wall(self.image[:, :, :, None, :], self.second, doubles)
+        pairs = jacobian[:, :, 1 + slots :].reshape(rows, anchors, slots, slots, layout.size)
+        for slot in range(slots):
+            columns = layout.wall(slot)
+            jacobian[:, :, 1 + slot, columns] = by_wall[:, :, slot]
+            pairs[:, :, slot, :, columns] += by_first[:, :, slot, :]
+            pairs[:, :, :, slot, columns] += by_second[:, :, :, slot]
+        jacobian[:, :, 1 + slots :] = pairs.reshape(rows, anchors, slots**2, layout.size)
+        return jacobian
+
+    def possible(self) -> NDArray[np.bool_]:
+        """Whether agent and anchor stand on the sides of the walls that bounces need, (R, K, F)."""
+        rows, anchors = self.anchor.shape[:2]
+        agent_side = wall_side(self.agent[:, :, None, :], self.wall)  # (R, 1, L)
+        anchor_side = wall_side(self.anchor[:, :, None, :], self.wall)  # (R, K, L)
+        image_side = wall_side(self.image[:, :, :, None, :], self.second)  # (R, K, L, M)
+        near = agent_side[:, :, None, :]
+        total = near + image_side
+        fraction = near / np.where(np.abs(total) < 1e-9, 1e-9, total)
+        agent = self.agent[:, :, None, None, :]
+        bounce = agent + fraction[..., None] * (self.double - agent)  # on wall m
+        pair = (near * image_side > 0.0) & (wall_side(bounce, self.first) * anchor_side[..., None] > 0.0)
+        pair &= ~np.eye(self.layout.slots, dtype=bool)
+        direct = np.ones((rows, anchors, 1), dtype=bool)
+        return np.concatenate(
+            [direct, agent_side * anchor_side > 0.0, pair.reshape(rows, anchors, -1)], axis=2
+        )
+
+
 def predict_paths(mean: Array, layout: Layout) -> Prediction:
     """Path lengths, derivatives and geometric possibility of every feature.
 
@@ -82,60 +149,40 @@ def predict_paths(mean: Array, layout: Layout) -> Prediction:
     -------
     Prediction
     """
-    rows, anchors, slots = len(mean), layout.anchors, layout.slots
-    position = mean[:, None, 0:2]
-    devices = mean[:, layout.FIRST_ANCHOR : layout.FIRST_ANCHOR + 3 * anchors].reshape(rows, anchors, 3)
-    anchor, height2 = devices[:, :, 0:2], devices[:, :, 2]
-    wall = mean[:, layout.walls].reshape(rows, 1, slots, 2)
-
-    image = reflect(anchor[:, :, None, :], wall)  # (R, K, L, 2)
-    first, second = wall[:, :, :, None, :], wall[:, :, None, :, :]  # of a pair (l, m)
-    double = reflect(image[:, :, :, None, :], second)  # (R, K, L, M, 2)
-    sources = np.concatenate(
-        [anchor[:, :, None], image, double.reshape(rows, anchors, slots**2, 2)], axis=2
-    )  # (R, K, F, 2)
-    offset = position[:, :, None, :] - sources
-    square = np.sum(offset * offset, axis=-1) + height2[:, :, None]
+    room = _Room(mean, layout)
+    offset = room.agent[:, :, None, :] - room.sources()
+    square = np.sum(offset * offset, axis=-1) + room.height2[:, :, None]
     length = np.sqrt(np.maximum(square, 1e-6))
-    ray = offset / length[..., None]  # d length / d position
-    ray_double = ray[:, :, 1 + slots :].reshape(rows, anchors, slots, slots, 2)
-    before = _flip(ray_double, second)  # seen from between the two bounces
+    jacobian = room.pull_back(offset / length[..., None])
+    for k in range(layout.anchors):
+        jacobian[:, k, :, layout.height2(k)] = 0.5 / length[:, k]
+        jacobian[:, k, :, layout.bias(k)] = 1.0
+    return Prediction(length + room.bias[:, :, None], jacobian, room.possible(), offset)
 
-    jacobian = np.zeros((rows, anchors, layout.features, layout.size))
-    jacobian[..., 0:2] = ray
-    by_anchor = np.concatenate(
-        [
-            ray[:, :, :1],
-            _flip(ray[:, :, 1 : 1 + slots], wall),
-            _flip(before, first).reshape(rows, anchors, slots**2, 2),
-        ],
-        axis=2,
-    )
-    for k in range(anchors):
-        columns = layout.anchor(k)
-        jacobian[:, k, :, columns.start : columns.start + 2] = -by_anchor[:, k]
-        jacobian[:, k, :, columns.start + 2] = 0.5 / length[:, k]
-    by_wall = -_by_wall(anchor[:, :, None, :], wall, ray[:, :, 1 : 1 + slots])
-    by_first = -_by_wall(anchor[:, :, None, None, :], first, before)
-    by_second = -_by_wall(image[:, :, :, None, :], second, ray_double)
-    pairs = jacobian[:, :, 1 + slots :].reshape(rows, anchors, slots, slots, layout.size)
-    for slot in range(slots):
-        columns = layout.wall(slot)
-        jacobian[:, :, 1 + slot, columns] = by_wall[:, :, slot]
-        pairs[:, :, slot, :, columns] += by_first[:, :, slot, :]
-        pairs[:, :, :, slot, columns] += by_second[:, :, :, slot]
-    jacobian[:, :, 1 + slots :] = pairs.reshape(rows, anchors, slots**2, layout.size)
 
-    possible = np.ones((rows, anchors, layout.features), dtype=bool)
-    agent_side = wall_side(position[:, :, None, :], wall)  # (R, 1, L)
-    anchor_side = wall_side(anchor[:, :, None, :], wall)  # (R, K, L)
-    possible[:, :, 1 : 1 + slots] = agent_side * anchor_side > 0.0
-    image_side = wall_side(image[:, :, :, None, :], second)  # (R, K, L, M), image beyond m mirrored
-    near = agent_side[:, :, None, :]
-    fraction = near / np.where(np.abs(near + image_side) < 1e-9, 1e-9, near + image_side)
-    agent = position[:, :, None, None, :]
-    bounce = agent + fraction[..., None] * (double - agent)  # on wall m
-    pair_possible = (near * image_side > 0.0) & (wall_side(bounce, first) * anchor_side[:, :, :, None] > 0.0)
-    pair_possible &= ~np.eye(slots, dtype=bool)
-    possible[:, :, 1 + slots :] = pair_possible.reshape(rows, anchors, slots**2)
-    return Prediction(length, jacobian, possible)
+def predict_azimuths(mean: Array, layout: Layout) -> tuple[Array, Array]:
+    """Directions of arrival of every feature and their derivatives.
+
+    A path arrives from its source: the anchor, or its image. Angles are measured from
+    the expected direction of the gauge frame's x axis, so that ``theta`` adds to them.
+
+    Parameters
+    ----------
+    mean, layout
+        As for :func:`predict_paths`.
+
+    Returns
+    -------
+    azimuth : ndarray, shape (R, K, F)
+        Radians, not wrapped.
+    jacobian : ndarray, shape (R, K, F, n)
+        Derivatives by the state vector.
+    """
+    room = _Room(mean, layout)
+    offset = room.agent[:, :, None, :] - room.sources()
+    square = np.maximum(np.sum(offset * offset, axis=-1, keepdims=True), 1e-6)
+    azimuth = np.arctan2(-offset[..., 1], -offset[..., 0]) + mean[:, None, None, layout.THETA]
+    across = np.stack([-offset[..., 1], offset[..., 0]], axis=-1) / square
+    jacobian = room.pull_back(across)
+    jacobian[..., layout.THETA] = 1.0
+    return azimuth, jacobian

@@ -4,7 +4,7 @@
 epoch comes from :func:`estimator.slam.start.start`. Online and offline use call the
 same function.
 
-    predict the agent -> associate and correct all hypotheses -> locate anchors
+    predict the agent -> associate and correct all hypotheses -> take a sweep -> locate anchors
     -> remember the unexplained -> start walls -> prune and merge -> confirm walls
 """
 
@@ -22,10 +22,12 @@ from estimator.slam.births import find_line, wall_bank
 from estimator.slam.config import GaussianConfig
 from estimator.slam.hypotheses import tidy
 from estimator.slam.locate import locate_anchors
-from estimator.slam.memory import PathTable, remember, stack_paths, widen_spans
+from estimator.slam.memory import remember, widen_spans
 from estimator.slam.motion import predict_motion
+from estimator.slam.paths import PathTable, stack_paths
 from estimator.slam.slots import judge, open_slot
 from estimator.slam.state import GaussianState
+from estimator.slam.sweeps import take_sweep
 from estimator.slam.update import correct
 
 __all__ = ["step"]
@@ -73,6 +75,7 @@ def step(
     state = replace(state, epoch=epoch.index, time_s=epoch.time_s)
     paths = stack_paths(epoch, state.carrier_hz)
     state, explained = _correct(state, paths, config)
+    state = take_sweep(state, epoch.sweep, epoch.heading_held, config)
     state = locate_anchors(state, paths, config)
     state = remember(state, paths, explained, config)
     state = _bear(state, config)
@@ -98,9 +101,7 @@ def _correct(state: GaussianState, paths: PathTable, config: GaussianConfig) -> 
         rows.covariance,
         rows.visibility,
         state.active(),
-        paths.length_m,
-        paths.std_m,
-        paths.valid,
+        paths.turned(-state.bearing_rad),
         state.layout,
         config,
     )
@@ -133,7 +134,7 @@ def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:
     anchor = mean[state.layout.anchor(line.anchor)]
     track = state.trail[np.searchsorted(state.trail[:, 0], line.epoch), 1:3]
     walls = mean[state.layout.walls].reshape(-1, 2)[present]
-    bank = wall_bank(line, track, anchor[:2], float(anchor[2]), walls, state.slots.span_m[present], config)
+    bank = wall_bank(line, track, anchor, walls, state.slots.span_m[present], config)
     if bank is None:
         return state
     state, slot = open_slot(state)

@@ -7,10 +7,11 @@ wall (slot 0), whose y coordinate is therefore zero without uncertainty. The ang
 estimator's frame is one more state: path delays do not depend on it, so passive
 measurements cannot make the filter believe that they tell the rotation of the map.
 
-    [x, y, vx, vy, theta, (x, y, w) per anchor, (x, y) per wall slot]
+    [x, y, vx, vy, theta, (x, y, w, b) per anchor, (x, y) per wall slot]
 
 ``w`` is the squared height difference of anchor and agent, square metres: a path of
-horizontal length d is ``sqrt(d^2 + w)`` long.
+horizontal length d is ``sqrt(d^2 + w)`` long. ``b`` is the anchor's clock bias, metres: it
+adds to every path length.
 """
 
 from __future__ import annotations
@@ -39,11 +40,12 @@ class Layout:
     POSITION = slice(0, 2)
     THETA = 4
     FIRST_ANCHOR = 5
+    PER_ANCHOR = 4
 
     @property
     def size(self) -> int:
         """Length n of the state vector."""
-        return self.FIRST_ANCHOR + 3 * self.anchors + 2 * self.slots
+        return self.FIRST_ANCHOR + self.PER_ANCHOR * self.anchors + 2 * self.slots
 
     @property
     def features(self) -> int:
@@ -51,16 +53,29 @@ class Layout:
         return 1 + self.slots + self.slots**2
 
     def anchor(self, k: int) -> slice:
-        """x, y, w of anchor ``k``."""
-        begin = self.FIRST_ANCHOR + 3 * k
-        return slice(begin, begin + 3)
+        """x, y, w, b of anchor ``k``."""
+        begin = self.FIRST_ANCHOR + self.PER_ANCHOR * k
+        return slice(begin, begin + self.PER_ANCHOR)
+
+    def anchor_xy(self, k: int) -> slice:
+        """x, y of anchor ``k``."""
+        begin = self.anchor(k).start
+        return slice(begin, begin + 2)
+
+    def height2(self, k: int) -> int:
+        """W of anchor ``k``."""
+        return self.FIRST_ANCHOR + self.PER_ANCHOR * k + 2
+
+    def bias(self, k: int) -> int:
+        """B of anchor ``k``."""
+        return self.FIRST_ANCHOR + self.PER_ANCHOR * k + 3
 
     def wall(self, slot: int) -> slice:
         """x, y of the VRP in ``slot``."""
-        begin = self.FIRST_ANCHOR + 3 * self.anchors + 2 * slot
+        begin = self.walls.start + 2 * slot
         return slice(begin, begin + 2)
 
     @property
     def walls(self) -> slice:
         """All VRPs, reshapes to (L, 2)."""
-        return slice(self.FIRST_ANCHOR + 3 * self.anchors, self.size)
+        return slice(self.FIRST_ANCHOR + self.PER_ANCHOR * self.anchors, self.size)

@@ -7,18 +7,27 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.slam.anchors import Candidates, Centres, PathBatch, evidence_at, images_of_agent, locate
+from estimator.slam.anchors import (
+    Candidates,
+    Centres,
+    PathBatch,
+    best_of,
+    evidence_at,
+    images_of_agent,
+    locate,
+)
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths
 from estimator.slam.hypotheses import tidy
-from estimator.slam.memory import PathTable
+from estimator.slam.kalman import kalman
+from estimator.slam.paths import PathTable
 from estimator.slam.slots import fresh_visibility
 from estimator.slam.state import GaussianState, Rows
-from estimator.slam.update import kalman
 
 __all__ = ["locate_anchors"]
 
 Array = NDArray[np.float64]
+_BIAS_STEP_M = 1.0  # spacing of the clock biases that are tried
 _STRIDE = 4  # epochs between those of a window that are searched
 _RIVAL_LOG_PRIOR = -3.0  # log odds that a located anchor is elsewhere after all
 _PRIOR_STD_M = 10.0  # of an anchor started from one epoch, whose paths all enter the joint Gaussian
@@ -49,7 +58,7 @@ def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfi
         rows = np.array([state.rows.best]) if located else waiting
         first = int(rows[np.argmax(state.rows.log_weight[rows])])
         centres, batch, walls = _gather(state, paths, k, first, config)
-        found = locate(centres, batch, walls, config, np.array([state.epoch]))
+        found = _search(state, k, first, centres, batch, walls, config)
         now = centres.epoch == state.epoch
         epochs = np.unique(batch.epoch).size
         fresh = np.sum((found.label >= 0) & now & (centres.bounces < 2), axis=1)
@@ -57,12 +66,41 @@ def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfi
         if located:
             here = state.rows.mean[state.rows.best, state.layout.anchor(k)][None, :2]
             rival = np.linalg.norm(found.mean_m - here, axis=1) > config.restart_distance_m
-            enough &= rival & (found.log_evidence > evidence_at(here, centres, batch, walls, config)[0])
+            bias = state.rows.mean[first, state.layout.bias(k)]
+            shifted = replace(batch, length_m=np.maximum(batch.length_m - bias, 1e-3))
+            enough &= rival & (found.log_evidence > evidence_at(here, centres, shifted, walls, config)[0])
         if enough.any():
             chosen = Candidates(*(getattr(found, entry.name)[enough] for entry in fields(found)))
             forked = _fork(state, paths, k, rows, chosen, centres, epochs > 1, config)
             state = replace(state, rows=tidy(forked, config))
     return state
+
+
+def _search(
+    state: GaussianState,
+    k: int,
+    row: int,
+    centres: Centres,
+    batch: PathBatch,
+    walls: dict[int, Array],
+    config: GaussianConfig,
+) -> Candidates:
+    """Candidates for anchor ``k`` at its clock bias, or on a grid of biases if that is unknown."""
+    b = state.layout.bias(k)
+    mean, std = float(state.rows.mean[row, b]), float(np.sqrt(state.rows.covariance[row, b, b]))
+    seeds = np.array([state.epoch])
+    if std < _BIAS_STEP_M:
+        loose = replace(batch, length_m=batch.length_m - mean, variance_m2=batch.variance_m2 + std**2)
+        return locate(centres, loose, walls, config, seeds).at_bias(mean)
+    tolerance = batch.variance_m2 + _BIAS_STEP_M**2 / 12.0
+    grid = np.arange(-3.0 * std, 3.0 * std + _BIAS_STEP_M, _BIAS_STEP_M)
+    found = []
+    for shift in grid:
+        length = batch.length_m - mean - shift
+        heard = PathBatch(np.maximum(length, 1e-3), tolerance, batch.epoch, batch.excess_loss_db)
+        log_prior = -0.5 * (shift / std) ** 2 + float(np.log(_BIAS_STEP_M / (std * np.sqrt(2.0 * np.pi))))
+        found.append(locate(centres, heard, walls, config, seeds).at_bias(mean + shift, log_prior))
+    return best_of(found, config)
 
 
 def _doubtful(state: GaussianState, k: int, config: GaussianConfig) -> bool:
@@ -129,17 +167,18 @@ def _fork(
     count = len(found.mean_m)
     candidate = np.tile(np.arange(count), len(rows))
     new = state.rows.take(np.repeat(rows, count))
-    place = layout.anchor(k)
-    xy = slice(place.start, place.start + 2)
+    xy, w, b = layout.anchor_xy(k), layout.height2(k), layout.bias(k)
     located = bool(new.located[0, k])
     new.located[:, k] = True
     new.log_weight[...] += _RIVAL_LOG_PRIOR if located else found.log_evidence[candidate]
     new.mean[:, xy] = found.mean_m[candidate]
+    new.mean[:, b] = found.bias_m[candidate]
     if located:  # what was known of the anchor goes with its place
+        place = slice(xy.start, w + 1)
         new.covariance[:, place, :] = 0.0
         new.covariance[:, :, place] = 0.0
-        new.mean[:, place.stop - 1] = config.height2_mean_m2
-        new.covariance[:, place.stop - 1, place.stop - 1] = config.height2_std_m2**2
+        new.mean[:, w] = config.height2_mean_m2
+        new.covariance[:, w, w] = config.height2_std_m2**2
     wide = 9.0 * found.covariance_m2[candidate] + 0.25 * np.eye(2)
     new.covariance[:, xy, xy] = wide if windowed else _PRIOR_STD_M**2 * np.eye(2)
     new.visibility[:, k] = fresh_visibility(layout)

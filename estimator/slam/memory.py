@@ -2,54 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.measurements import Epoch
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths, reflect, wall_side
+from estimator.slam.paths import PathTable
 from estimator.slam.state import GaussianState
 from estimator.slam.update import predicted_variance
-from estimator.waveform import free_space_loss_db
 
-__all__ = ["PathTable", "remember", "stack_paths", "widen_spans"]
+__all__ = ["remember", "widen_spans"]
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class PathTable:
-    """The paths of an epoch as padded arrays.
-
-    Parameters
-    ----------
-    length_m, std_m : ndarray, shape (K, M)
-        Path lengths and their standard deviations.
-    excess_loss_db : ndarray, shape (K, M)
-        Loss beyond free space, dB; NaN if powers are unknown.
-    valid : ndarray of bool, shape (K, M)
-        Which entries are measurements; an anchor's come first.
-    """
-
-    length_m: Array
-    std_m: Array
-    excess_loss_db: Array
-    valid: NDArray[np.bool_]
-
-
-def stack_paths(epoch: Epoch, carrier_hz: float) -> PathTable:
-    """The paths of an epoch in one table."""
-    shape = (len(epoch.paths), max((len(paths) for paths in epoch.paths), default=0) or 1)
-    length, std, loss = np.ones(shape), np.ones(shape), np.full(shape, np.nan)
-    valid = np.zeros(shape, dtype=bool)
-    for k, paths in enumerate(epoch.paths):
-        n = len(paths)
-        length[k, :n], std[k, :n], valid[k, :n] = paths.range_m, paths.range_std_m, True
-        if paths.gain_db is not None:
-            loss[k, :n] = -paths.gain_db - free_space_loss_db(paths.range_m, carrier_hz)
-    return PathTable(length, std, loss, valid)
 
 
 def widen_spans(state: GaussianState, row: int, heard: Array) -> Array:

@@ -69,9 +69,11 @@ def start(
     covariance = _wall_prior(walls, vrps, to_gauge, layout)
     covariance[2:4, 2:4] = config.velocity_std_m_s**2 * np.eye(2)
     for k in range(layout.anchors):
-        place = layout.anchor(k)
-        mean[place] = NOWHERE_M, 0.0, config.height2_mean_m2
-        covariance[place.stop - 1, place.stop - 1] = config.height2_std_m2**2
+        mean[layout.anchor(k)] = NOWHERE_M, 0.0, config.height2_mean_m2, 0.0
+        covariance[layout.height2(k), layout.height2(k)] = config.height2_std_m2**2
+    biases = [layout.bias(k) for k in range(layout.anchors)]
+    together = np.ones((len(biases), len(biases))) if config.clock_bias_common else np.eye(len(biases))
+    covariance[np.ix_(biases, biases)] = config.clock_bias_std_m**2 * together
 
     count = len(walls)
     rows = Rows(

@@ -14,18 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.association import associate
+from estimator.slam.azimuths import azimuth_ratio, take_azimuths
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import Prediction, predict_paths
+from estimator.slam.kalman import kalman
 from estimator.slam.layout import Layout
+from estimator.slam.paths import PathTable
 
-__all__ = ["Correction", "correct", "kalman", "predicted_variance"]
+__all__ = ["Correction", "correct", "predicted_variance"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _SURE = 0.98  # association probability beyond doubt
 _APART = 0.7  # a row splits if the alternatives move it by more than this many standard deviations
 _CERTAIN = 1e12
-_LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,29 +59,6 @@ class Correction:
     log_evidence: Array
 
 
-def kalman(
-    mean: Array, covariance: Array, jacobian: Array, innovation: Array, variance: Array
-) -> tuple[Array, Array, Array]:
-    """Joint Kalman update of rows; also the log density of the innovations.
-
-    Shapes: mean (R, n), covariance (R, n, n), jacobian (R, m, n), innovation and
-    variance (R, m). A measurement a row does not use has a zero jacobian row and
-    innovation and a variance of ``1 / (2 pi)``, so that it adds nothing at all.
-    """
-    cross = jacobian @ covariance  # (R, m, n)
-    size = innovation.shape[1]
-    s = cross @ jacobian.transpose(0, 2, 1)
-    s[:, np.arange(size), np.arange(size)] += variance
-    right = np.concatenate([cross, innovation[..., None]], axis=2)
-    solved = np.linalg.solve(s, right)
-    mean = mean + np.einsum("rmn,rm->rn", cross, solved[..., -1])
-    covariance = covariance - cross.transpose(0, 2, 1) @ solved[..., :-1]
-    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-    _, log_determinant = np.linalg.slogdet(s)
-    distance = np.sum(innovation * solved[..., -1], axis=1)
-    return mean, covariance, -0.5 * (log_determinant + distance + size * _LOG_2PI)
-
-
 def _take(
     mean: Array, covariance: Array, jacobian: Array, innovation: Array, variance: Array, use: Mask
 ) -> tuple[Array, Array, Array]:
@@ -103,9 +82,7 @@ def correct(
     covariance: Array,
     visibility: Array,
     active: Mask,
-    length_m: Array,
-    std_m: Array,
-    valid: Mask,
+    paths: PathTable,
     layout: Layout,
     config: GaussianConfig,
 ) -> Correction:
@@ -119,10 +96,8 @@ def correct(
         Prior probability that a feature can be heard.
     active : ndarray of bool, shape (R, K, F)
         Features the row has (anchor located, walls present).
-    length_m, std_m : ndarray, shape (K, M)
-        Measured path lengths and their standard deviations, metres.
-    valid : ndarray of bool, shape (K, M)
-        Which of them are measurements.
+    paths : PathTable
+        The epoch's paths, azimuths in the gauge frame.
     layout : Layout
         Positions in the state vector.
     config : GaussianConfig
@@ -132,11 +107,12 @@ def correct(
     -------
     Correction
     """
-    variance = np.maximum(std_m, config.range_std_m) ** 2
+    variance = np.maximum(paths.std_m, config.range_std_m) ** 2
     prediction = predict_paths(mean, layout)
     active = active & prediction.possible
     chance = np.where(active, visibility * config.detection_probability, 0.0)
-    ratio, _, innovation = _ratios(prediction, covariance, chance, length_m, variance, valid, layout, config)
+    ratio, _, innovation = _ratios(prediction, covariance, chance, paths, variance, layout, config)
+    ratio = ratio * azimuth_ratio(mean, covariance, paths, layout)
 
     # first pass: what belief propagation does not doubt
     sure: Mask = np.asarray(associate(ratio).probability > _SURE, dtype=bool)
@@ -153,9 +129,8 @@ def correct(
     # second pass: everything else, predicted again
     prediction = predict_paths(mean, layout)
     rest = np.where(taken, 0.0, chance)
-    ratio, spread, innovation = _ratios(
-        prediction, covariance, rest, length_m, variance, valid, layout, config
-    )
+    ratio, spread, innovation = _ratios(prediction, covariance, rest, paths, variance, layout, config)
+    ratio = ratio * azimuth_ratio(mean, covariance, paths, layout)
     ratio = np.where(used[:, :, None, :], 0.0, ratio)
     association = associate(ratio)
     log_evidence = log_evidence + np.sum(association.log_evidence + np.sum(np.log1p(-rest), axis=-1), axis=-1)
@@ -167,7 +142,7 @@ def correct(
         active[parent],
     )
     log_evidence, spread, innovation = log_evidence[parent] + log_share, spread[parent], innovation[parent]
-    taken, used, jacobian = taken[parent], used[parent], prediction.jacobian[parent]
+    taken, used, chosen, jacobian = taken[parent], used[parent], chosen[parent], prediction.jacobian[parent]
     share = associate(ratio).probability  # (R, K, F, M)
     heard = share.sum(axis=-1)
     weight = np.maximum(heard, 1e-12)
@@ -176,6 +151,11 @@ def correct(
     soft = heard > 0.05
     soft[..., 1 + layout.slots :] &= spread[..., 1 + layout.slots :] < config.pair_std_m**2
     mean, covariance, _ = _take(mean, covariance, jacobian, expected, second / weight, soft)
+
+    # directions of the first pass's paths (those of the second only helped to associate)
+    label = np.where(taken, chosen, -1)
+    mean, covariance, log_direction = take_azimuths(mean, covariance, label, paths, layout)
+    log_evidence = log_evidence + log_direction
 
     heard = np.where(taken, 1.0, heard)
     seen = (
@@ -234,20 +214,19 @@ def _ratios(
     prediction: Prediction,
     covariance: Array,
     chance: Array,
-    length_m: Array,
+    paths: PathTable,
     variance: Array,
-    valid: Mask,
     layout: Layout,
     config: GaussianConfig,
 ) -> tuple[Array, Array, Array]:
     """Association ratios and innovations (R, K, F, M), and predicted variances (R, K, F)."""
     spread = predicted_variance(prediction, covariance)
     s = spread[..., None] + variance[:, None, :]
-    innovation = length_m[:, None, :] - prediction.length_m[..., None]
+    innovation = paths.length_m[:, None, :] - prediction.length_m[..., None]
     distance = innovation**2 / s
     known = np.ones(spread.shape, dtype=bool)
     known[..., 1 + layout.slots :] = spread[..., 1 + layout.slots :] < config.pair_gate_std_m**2
-    gated = valid[:, None, :] & (distance < config.gate_sigma**2) & ((chance > 0.0) & known)[..., None]
+    gated = paths.valid[:, None, :] & (distance < config.gate_sigma**2) & ((chance > 0.0) & known)[..., None]
     density = np.exp(-0.5 * distance) / np.sqrt(2.0 * np.pi * s)
     odds = chance / ((1.0 - chance) * config.clutter_density)
     return np.where(gated, odds[..., None] * density, 0.0), spread, innovation

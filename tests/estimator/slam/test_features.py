@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.geometry import mirror
-from estimator.slam.features import predict_paths, reflect, wall_side
+from estimator.slam.features import predict_azimuths, predict_paths, reflect, wall_side
 from estimator.slam.layout import Layout
 from estimator.specular import specular_paths
 
@@ -16,7 +16,7 @@ def state_of(room, position, height2=0.0):
     mean = np.zeros(layout.size)
     mean[:2] = position - room.track[0]
     for k in range(2):
-        mean[layout.anchor(k)] = *(room.anchors[k] - room.track[0]), height2
+        mean[layout.anchor(k)] = *(room.anchors[k] - room.track[0]), height2, 0.0
     mean[layout.walls] = room.vrps.ravel()
     return mean, layout
 
@@ -62,7 +62,7 @@ def test_jacobian_matches_central_differences():
     rng = np.random.default_rng(2)
     layout = Layout(2, 3)
     mean = rng.normal(size=(4, layout.size)) * 15
-    mean[:, [7, 10]] = 1.0
+    mean[:, [layout.height2(k) for k in range(2)]] = 1.0
     jacobian = predict_paths(mean, layout).jacobian
     pairs = np.concatenate([np.ones(4, dtype=bool), ~np.eye(3, dtype=bool).ravel()])
     for column in range(layout.size):
@@ -73,18 +73,46 @@ def test_jacobian_matches_central_differences():
         assert np.allclose(jacobian[..., column][:, :, pairs], difference[:, :, pairs], atol=1e-6)
 
 
+def test_azimuths_point_at_the_sources(room):
+    """The azimuth of each visible path is the direction of the anchor's image; theta adds to it."""
+    mean, layout = state_of(room, room.track[100])
+    mean[layout.THETA] = 0.02
+    azimuth, _ = predict_azimuths(mean[None], layout)
+    here = room.track[100]
+    for k, anchor in enumerate(room.anchors):
+        sources = [anchor, *(mirror(anchor - room.track[0], vrp) + room.track[0] for vrp in room.vrps)]
+        for f, source in enumerate(sources):
+            expected = np.arctan2(*(source - here)[::-1]) + 0.02
+            assert abs(np.angle(np.exp(1j * (azimuth[0, k, f] - expected)))) < 1e-9
+
+
+def test_azimuth_jacobian_matches_central_differences():
+    """Analytic derivatives of directions agree with central differences."""
+    rng = np.random.default_rng(8)
+    layout = Layout(2, 3)
+    mean = rng.normal(size=(4, layout.size)) * 15
+    _, jacobian = predict_azimuths(mean, layout)
+    pairs = np.concatenate([np.ones(4, dtype=bool), ~np.eye(3, dtype=bool).ravel()])
+    for column in range(layout.size):
+        shift = np.zeros(layout.size)
+        shift[column] = 1e-5
+        ahead, behind = (predict_azimuths(mean + s * shift, layout)[0] for s in (1, -1))
+        difference = np.angle(np.exp(1j * (ahead - behind))) / 2e-5
+        assert np.allclose(jacobian[..., column][:, :, pairs], difference[:, :, pairs], atol=1e-6)
+
+
 def test_rotation_is_invisible():
     """No path length depends on theta, and turning everything about RP changes none."""
     rng = np.random.default_rng(3)
     layout = Layout(2, 3)
     mean = rng.normal(size=(1, layout.size)) * 15
-    mean[:, [7, 10]] = 1.0
+    mean[:, [layout.height2(k) for k in range(2)]] = 1.0
     prediction = predict_paths(mean, layout)
     assert np.all(prediction.jacobian[..., layout.THETA] == 0.0)
     angle = 0.7
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     turned = mean.copy()
-    for part in (slice(0, 2), *(slice(layout.anchor(k).start, layout.anchor(k).start + 2) for k in range(2))):
+    for part in (slice(0, 2), *(layout.anchor_xy(k) for k in range(2))):
         turned[0, part] = turn @ mean[0, part]
     turned[0, layout.walls] = (mean[0, layout.walls].reshape(-1, 2) @ turn.T).ravel()
     assert np.allclose(predict_paths(turned, layout).length_m, prediction.length_m)

@@ -150,7 +150,7 @@ def test_unknown_methods_and_engines_are_named(room):
 
 
 @pytest.mark.parametrize(
-    "field, value",
+    ("field", "value"),
     [("range_std_m", 0.0), ("clutter_mean", -1.0), ("region_m", np.nan), ("detection_probability", 1.0)],
 )
 def test_configuration_is_checked(field, value):

@@ -8,7 +8,9 @@ from scipy.stats import multivariate_normal
 
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths
-from estimator.slam.update import correct, kalman
+from estimator.slam.kalman import kalman
+from estimator.slam.paths import PathTable
+from estimator.slam.update import correct
 from tests.estimator.slam.test_features import state_of
 
 
@@ -66,9 +68,7 @@ def test_clear_paths_are_taken_as_a_kalman_filter_would(room):
         covariance[None],
         np.full((1, 2, layout.features), 0.9),
         active,
-        length,
-        np.full((2, 2), 0.05),
-        np.ones((2, 2), dtype=bool),
+        PathTable(length, np.full((2, 2), 0.05), np.full((2, 2), np.nan), np.ones((2, 2), dtype=bool)),
         layout,
         config,
     )
@@ -93,9 +93,7 @@ def test_a_missed_feature_is_less_visible(room):
         np.eye(layout.size)[None],
         np.full((1, 2, layout.features), 0.8),
         active,
-        np.ones((2, 1)),
-        np.ones((2, 1)),
-        none,
+        PathTable(np.ones((2, 1)), np.ones((2, 1)), np.ones((2, 1)), none),
         layout,
         GaussianConfig(),
     )

@@ -1,0 +1,43 @@
+"""The joint Kalman update of many hypotheses at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["kalman"]
+
+Array = NDArray[np.float64]
+_LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+def kalman(
+    mean: Array,
+    covariance: Array,
+    jacobian: Array,
+    innovation: Array,
+    variance: Array,
+    shared: Array | None = None,
+) -> tuple[Array, Array, Array]:
+    """Joint Kalman update of rows; also the log density of the innovations.
+
+    Shapes: mean (R, n), covariance (R, n, n), jacobian (R, m, n), innovation and
+    variance (R, m). A measurement a row does not use has a zero jacobian row and
+    innovation and a variance of ``1 / (2 pi)``, so that it adds nothing at all.
+    ``shared`` (R, m), if given, is an error all measurements have in common: its standard
+    deviation in each of them.
+    """
+    cross = jacobian @ covariance  # (R, m, n)
+    size = innovation.shape[1]
+    s = cross @ jacobian.transpose(0, 2, 1)
+    s[:, np.arange(size), np.arange(size)] += variance
+    if shared is not None:
+        s += shared[:, :, None] * shared[:, None, :]
+    right = np.concatenate([cross, innovation[..., None]], axis=2)
+    solved = np.linalg.solve(s, right)
+    mean = mean + np.einsum("rmn,rm->rn", cross, solved[..., -1])
+    covariance = covariance - cross.transpose(0, 2, 1) @ solved[..., :-1]
+    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    _, log_determinant = np.linalg.slogdet(s)
+    distance = np.sum(innovation * solved[..., -1], axis=1)
+    return mean, covariance, -0.5 * (log_determinant + distance + size * _LOG_2PI)
