@@ -32,11 +32,23 @@ __all__ = [
 
 FORMAT = "hapslam-measurements"
 VERSION = 1
+_COLUMNS = {
+    "delay_s": "s",
+    "delay_std_s": "s",
+    "gain_db": "dB",
+    "azimuth_rad": "rad",
+    "azimuth_std_rad": "rad",
+}
+_OPTIONAL = ("gain_db", "azimuth_rad", "azimuth_std_rad")
 _DIMS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("path_valid", "delay_s", "delay_std_s", "gain_db"), ("epoch", "anchor", "path")),
     "time_s": ("epoch",),
     "vrp_mean_m": ("wall", "xy"),
     "vrp_covariance_m2": ("wall", "xy", "xy2"),
+    "heading_held": ("epoch",),
+    "flash_epoch": ("flash",),
+    "flash_mean_m": ("flash", "xy"),
+    "flash_covariance_m2": ("flash", "xy", "xy2"),
     "epoch": ("epoch",),
     "anchor": ("anchor",),
 }
@@ -222,7 +234,7 @@ def save_measurements(measurements: MeasurementSet, path: Path) -> None:
     rank = max((len(paths) for epoch in epochs for paths in epoch.paths), default=0)
     shape = (len(epochs), len(anchors), max(rank, 1))
     valid = np.zeros(shape, dtype=np.int8)
-    columns = {name: np.full(shape, np.nan) for name in ("delay_s", "delay_std_s", "gain_db")}
+    columns = {name: np.full(shape, np.nan) for name in _COLUMNS}
     for i, epoch in enumerate(epochs):
         for k, paths in enumerate(epoch.paths):
             valid[i, k, : len(paths)] = 1
@@ -230,17 +242,38 @@ def save_measurements(measurements: MeasurementSet, path: Path) -> None:
                 if getattr(paths, name) is not None:
                     column[i, k, : len(paths)] = getattr(paths, name)
     dims = ("epoch", "anchor", "path")
-    units = {"delay_s": "s", "delay_std_s": "s", "gain_db": "dB"}
+    columns = {name: c for name, c in columns.items() if name in _DIMS or np.isfinite(c).any()}
     walls = measurements.walls
+    flashes = [(i, flash) for i, epoch in enumerate(epochs) for flash in epoch.sweep]
     known = {}
     if measurements.known_anchors_m is not None:
         known["known_anchor_m"] = (("anchor", "xy"), measurements.known_anchors_m, {"units": "m"})
     data = xr.Dataset(
         {
             **known,
-            **{name: (dims, column, {"units": units[name]}) for name, column in columns.items()},
+            **{name: (dims, column, {"units": _COLUMNS[name]}) for name, column in columns.items()},
             "path_valid": (dims, valid, {"units": "1", "long_name": "1 where a path was measured"}),
             "time_s": ("epoch", np.array([epoch.time_s for epoch in epochs]), {"units": "s"}),
+            "heading_held": (
+                "epoch",
+                np.array([epoch.heading_held for epoch in epochs], dtype=np.int8),
+                {"units": "1", "long_name": "1 where the agent's axes are those of the start"},
+            ),
+            "flash_epoch": (
+                "flash",
+                np.array([i for i, _ in flashes], dtype=np.int64),
+                {"units": "1", "long_name": "place in the epoch axis of each wall seen on the way"},
+            ),
+            "flash_mean_m": (
+                ("flash", "xy"),
+                np.array([flash.mean_m for _, flash in flashes]).reshape(-1, 2),
+                {"units": "m", "long_name": "agent's mirror image relative to the agent, in its axes"},
+            ),
+            "flash_covariance_m2": (
+                ("flash", "xy", "xy2"),
+                np.array([flash.covariance_m2 for _, flash in flashes]).reshape(-1, 2, 2),
+                {"units": "m2"},
+            ),
             "vrp_mean_m": (
                 ("wall", "xy"),
                 np.array([wall.mean_m for wall in walls]).reshape(len(walls), 2),
@@ -268,9 +301,14 @@ def save_measurements(measurements: MeasurementSet, path: Path) -> None:
     write_netcdf(data, path)
 
 
-def _anchor_paths(delay_s: Array, delay_std_s: Array, gain_db: Array) -> AnchorPaths:
-    """Paths as stored: a gain column that is all NaN says that no powers were measured."""
-    return AnchorPaths(delay_s, delay_std_s, None if np.all(np.isnan(gain_db)) else gain_db)
+def _anchor_paths(columns: Mapping[str, Array]) -> AnchorPaths:
+    """Paths as stored: an optional column that is all NaN says that nothing was measured."""
+    given = {
+        name: column
+        for name, column in columns.items()
+        if name not in _OPTIONAL or (column.size and not np.all(np.isnan(column)))
+    }
+    return AnchorPaths(**given)
 
 
 def load_measurements(path: Path) -> MeasurementSet:
@@ -283,7 +321,16 @@ def load_measurements(path: Path) -> MeasurementSet:
             raise FileFormatError(f"{path}: expected {name} to have axes {dims}, got {data[name].dims}")
     try:
         valid = data["path_valid"].values.astype(bool)
-        columns = [data[name].values for name in ("delay_s", "delay_std_s", "gain_db")]
+        columns = {name: data[name].values for name in _COLUMNS if name in data}
+        held = data["heading_held"].values.astype(bool)
+        sweeps: dict[int, tuple[GaussianVrp, ...]] = {}
+        for i, mean, covariance in zip(
+            data["flash_epoch"].values,
+            data["flash_mean_m"].values,
+            data["flash_covariance_m2"].values,
+            strict=True,
+        ):
+            sweeps[int(i)] = (*sweeps.get(int(i), ()), GaussianVrp(mean, covariance))
         index, time = data["epoch"].values, data["time_s"].values
         walls = tuple(
             GaussianVrp(mean, covariance)
@@ -298,9 +345,11 @@ def load_measurements(path: Path) -> MeasurementSet:
                 int(index[i]),
                 float(time[i]),
                 tuple(
-                    _anchor_paths(*(column[i, k][valid[i, k]] for column in columns))
+                    _anchor_paths({name: c[i, k][valid[i, k]] for name, c in columns.items()})
                     for k in range(len(anchors))
                 ),
+                sweeps.get(i, ()),
+                bool(held[i]),
             )
             for i in range(len(index))
         )

@@ -123,4 +123,4 @@ def _refined(cloud: Cloud, log_weight: np.ndarray, rng: np.random.Generator) -> 
     if log_weight.max() == log_weight.min():
         return cloud
     after = resample(cloud, log_weight, rng)
-    return after if np.trace(moments_of(after)[1]) <= np.trace(moments_of(cloud)[1]) else cloud
+    return after

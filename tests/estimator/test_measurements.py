@@ -202,3 +202,40 @@ def test_known_anchors_travel_with_the_measurements(tmp_path: Path) -> None:
     assert load_measurements(tmp_path / "unknown.nc").known_anchors_m is None
     with pytest.raises(InputError, match="known_anchors_m: expected shape"):
         replace(measured(), known_anchors_m=places[:1])
+
+
+def test_directions_sweeps_and_headings_come_back(tmp_path):
+    """Azimuths, walls seen on the way and the heading survive the file bit for bit."""
+    rng = np.random.default_rng(21)
+    paths = [
+        AnchorPaths(
+            rng.uniform(1e-8, 1e-7, n),
+            np.full(n, 1e-10),
+            azimuth_rad=rng.normal(size=n),
+            azimuth_std_rad=np.full(n, 0.01),
+        )
+        for n in (3, 0, 2)
+    ]
+    flash = GaussianVrp(rng.normal(size=2), np.diag([0.1, 0.2]))
+    epochs = (
+        Epoch(0, 0.0, (paths[0],)),
+        Epoch(1, 1.0, (paths[1],), (flash,), False),
+        Epoch(2, 2.0, (paths[2],)),
+    )
+    save_measurements(MeasurementSet(("a",), (), epochs, 28e9), tmp_path / "m.nc")
+    back = load_measurements(tmp_path / "m.nc").epochs
+    assert [epoch.heading_held for epoch in back] == [True, False, True]
+    assert [len(epoch.sweep) for epoch in back] == [0, 1, 0]
+    assert np.array_equal(back[1].sweep[0].mean_m, flash.mean_m)
+    for i in (0, 2):
+        assert np.array_equal(back[i].paths[0].azimuth_rad, paths[i].azimuth_rad)
+        assert np.array_equal(back[i].paths[0].azimuth_std_rad, paths[i].azimuth_std_rad)
+    assert len(back[1].paths[0]) == 0
+
+
+def test_one_of_azimuth_and_its_deviation_is_not_enough():
+    """Directions without deviations, and deviations of zero, are refused."""
+    with pytest.raises(InputError, match="expected both or neither"):
+        AnchorPaths([1e-8], [1e-10], azimuth_rad=[0.1])
+    with pytest.raises(InputError, match="azimuth_std_rad: expected positive numbers"):
+        AnchorPaths([1e-8], [1e-10], azimuth_rad=[0.1], azimuth_std_rad=[0.0])

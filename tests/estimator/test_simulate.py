@@ -42,7 +42,9 @@ def test_walls_block():
 def test_epochs_follow_the_stated_model():
     """Detections, noise and clutter have the stated rates within four standard errors."""
     count = 4000
-    paths = SpecularPaths(((),), np.full((count, 1, 1), 50.0), np.ones((count, 1, 1), dtype=bool))
+    paths = SpecularPaths(
+        ((),), np.full((count, 1, 1), 50.0), np.ones((count, 1, 1), dtype=bool), np.zeros((count, 1, 1))
+    )
     config = SimulationConfig(range_std_m=0.2, detection_probability=0.8, clutter_mean=1.5)
     epochs = simulate_epochs(paths, config, np.random.default_rng(11))
     lengths = np.concatenate([epoch.paths[0].range_m for epoch in epochs])
