@@ -18,9 +18,10 @@ from raytrace.paths import PathSet
 
 __all__ = ["add_noise", "channel_response", "superpose"]
 
-# Paths summed at a time. Products this small stay in the cache and in one thread: with more,
-# BLAS threads wait for each other longer than they work, and the last bits depend on their number.
-_PATHS = 256
+# Largest product of matrices, rows x columns x paths, that is formed at a time. OpenBLAS gives
+# larger ones (65536) to several threads, which on matrices this small wait for each other longer
+# than they work, and the last bits of the sum would depend on the number of cores.
+_PRODUCT = 60_000
 
 
 def superpose(
@@ -49,8 +50,9 @@ def superpose(
     coarse_count = -(-grid.tones // fine_count)
     turn = -2j * np.pi * np.asarray(delay_s, dtype=np.float64)[..., None, :]  # (..., 1, paths)
     total = np.zeros((*weights.shape[:-1], coarse_count, fine_count), dtype=np.complex128)
-    for start in range(0, weights.shape[-1], _PATHS):
-        part = slice(start, start + _PATHS)
+    block = max(1, _PRODUCT // (coarse_count * fine_count))
+    for start in range(0, weights.shape[-1], block):
+        part = slice(start, start + block)
         first = weights[..., part] * np.exp(turn[..., part] * grid.offsets_hz()[0])
         coarse = _powers(np.exp(turn[..., part] * fine_count * grid.tone_spacing_hz), coarse_count)
         fine = _powers(np.exp(turn[..., part] * grid.tone_spacing_hz), fine_count)

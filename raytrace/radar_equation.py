@@ -53,7 +53,7 @@ def radar_sweep(plan: FloorPlan, radio: RadioScene, place_m: NDArray[np.float64]
         pattern = beams.two_way(azimuth).T / gain[:, None]  # (beams, rays)
         share = pattern / np.linalg.norm(pattern, axis=1, keepdims=True)
     else:
-        azimuth, share = centres, np.eye(beams.beams)
+        azimuth, share = centres, np.eye(beams.beams, dtype=np.complex128)
     distance, cosine = horizontal_hits(radio, place_m, azimuth + plan.agent.heading_rad)
     hit = np.isfinite(distance)
     distance, cosine = np.where(hit, distance, 1.0), np.where(hit, cosine, 0.0)
