@@ -195,9 +195,9 @@ class _Map:
             axes.plot(*segment.T, color=_WALL, linewidth=1.8, solid_capstyle="round", label=label, zorder=3)
         for wall, number, first in _births(self.result):
             text = f"wall {number}, from {first:g} s"
-            middle = self.segments[wall].mean(axis=0)
+            x, y = self.segments[wall].mean(axis=0)
             axes.annotate(
-                text, middle, (0, 6), textcoords="offset points", ha="center", color=_WALL, zorder=5
+                text, (x, y), (0, 6), textcoords="offset points", ha="center", color=_WALL, zorder=5
             )
 
     def _strip(self, wall: int) -> Array:
