@@ -50,7 +50,7 @@ class PursuitConfig:
     blind_range_m : float
         What is nearer is removed from the data, metres; 0 keeps everything.
     max_range_m : float
-        Returns are searched up to here, metres.
+        Returns are searched up to here, or to where ranges become ambiguous, metres.
     min_reflectivity_db : float
         Weaker returns (against a perfect mirror at their range) are not pursued, dB.
     max_returns : int
@@ -146,18 +146,12 @@ class EchoPursuit:
     Raises
     ------
     ConfigurationError
-        If the largest range is ambiguous on this grid.
+        If the blind range covers all ranges that these tones can tell.
     """
 
     def __init__(self, grid: OfdmGrid, beams: BeamSet, config: PursuitConfig | None = None) -> None:
         self.grid, self.beams = grid, beams
         self.config = PursuitConfig() if config is None else config
-        longest = 0.5 * SPEED_OF_LIGHT_M_S * grid.unambiguous_s
-        if self.config.max_range_m >= longest:
-            raise ConfigurationError(
-                f"max_range_m: expected less than the unambiguous {longest:.1f} m of the tones, "
-                f"got {self.config.max_range_m}"
-            )
         self._turns_per_m = 2.0 / SPEED_OF_LIGHT_M_S * grid.tone_spacing_hz
         self.range_cell_m = 1.0 / (grid.tones * self._turns_per_m)
         self.azimuth_cell_rad = min(1.0 / (beams.elements * beams.spacing_wavelengths), 1.0)
@@ -174,7 +168,12 @@ class EchoPursuit:
 
         self._bins = scipy.fft.next_fast_len(self.config.oversampling * grid.tones)
         first = int(np.ceil(self.config.blind_range_m * self._turns_per_m * self._bins)) + 1
-        last = int(self.config.max_range_m * self._turns_per_m * self._bins)
+        last = int(min(self.config.max_range_m * self._turns_per_m, 1.0 - 2.0 / grid.tones) * self._bins)
+        if first > last:
+            raise ConfigurationError(
+                f"blind_range_m: expected less than the longest range of the tones, "
+                f"{last / (self._bins * self._turns_per_m):.2f} m, got {self.config.blind_range_m}"
+            )
         self._delays = np.arange(first, last + 1) / self._bins
         lengths = delay_length(grid.tones, float(np.ptp(self._delays))), float(directions)
         self.threshold = detection_threshold(self.config.false_alarm, *lengths)

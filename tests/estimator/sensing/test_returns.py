@@ -148,7 +148,17 @@ def test_bad_settings_are_refused(settings: dict[str, float], message: str) -> N
         PursuitConfig(**settings)
 
 
-def test_ambiguous_ranges_are_refused() -> None:
-    """Ranges that the tones cannot tell apart are a configuration error."""
-    with pytest.raises(ConfigurationError, match=r"max_range_m: expected less than the unambiguous 312.3 m"):
-        EchoPursuit(GRID, BEAMS, PursuitConfig(max_range_m=400.0))
+def test_ranges_end_where_they_become_ambiguous() -> None:
+    """The largest range may exceed what the tones can tell; a return short of that is found at its place."""
+    rng = np.random.default_rng([SEED, 7])
+    pursuit = EchoPursuit(GRID, BEAMS, PursuitConfig(max_range_m=1000.0))
+    gain = mirror_gain(300.0)
+    found = pursuit.find(echo_of([300.0], [0.4], [gain]) + noise(rng, 0.1 * gain**2), 0.1 * gain**2)
+    assert len(found) == 1
+    assert found.range_m[0] == pytest.approx(300.0, abs=0.2)
+
+
+def test_a_blind_range_over_all_ranges_is_refused() -> None:
+    """Nothing can be found where everything is blanked."""
+    with pytest.raises(ConfigurationError, match="blind_range_m: expected less than the longest range"):
+        EchoPursuit(GRID, BEAMS, PursuitConfig(blind_range_m=400.0, max_range_m=500.0))

@@ -1,0 +1,353 @@
+"""From channels to measurements: acceptance figures on the L-shaped room, and bad datasets."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.optimize import linear_sum_assignment
+
+from estimator.arrays import BeamSet
+from estimator.channel.model import delay_atoms
+from estimator.channel.nomp import NompConfig
+from estimator.dataset import Dataset, DatasetWriter, open_dataset
+from estimator.errors import ConfigurationError, FileFormatError, InputError
+from estimator.extract import ExtractConfig, extract, extract_epochs, sense_walls
+from estimator.geometry import vrp_of_line
+from estimator.measurements import MeasurementSet, load_measurements, save_measurements
+from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
+from raytrace.channel import add_noise, channel_response
+from raytrace.floorplan import load_floorplan
+from raytrace.images import image_paths
+from raytrace.impairments import jitter
+from raytrace.paths import PathSet
+
+JITTER_S = 1e-10
+GATE_M = 0.5
+
+
+@dataclass(frozen=True)
+class Room:
+    """Every sixth epoch of the L-shaped room, by the image method, as a dataset."""
+
+    dataset: Dataset
+    paths: PathSet
+    vrps_m: np.ndarray
+
+
+def signal(grid: OfdmGrid, noise_variance: float) -> dict[str, Any]:
+    return {
+        "carrier_hz": grid.carrier_hz,
+        "subcarrier_spacing_hz": grid.subcarrier_spacing_hz,
+        "subcarriers": grid.subcarriers,
+        "comb": grid.comb,
+        "symbols": grid.symbols,
+        "noise_variance": noise_variance,
+    }
+
+
+def passive_shard(cfr: np.ndarray, anchors: list[str], first: int = 0) -> xr.Dataset:
+    dims = ("epoch", "anchor", "antenna", "tone")
+    epochs = np.arange(first, first + len(cfr))
+    return xr.Dataset(
+        {
+            "cfr_re": (dims, cfr.real.astype(np.float32)),
+            "cfr_im": (dims, cfr.imag.astype(np.float32)),
+            "time_s": ("epoch", 0.5 * epochs),
+        },
+        coords={"epoch": epochs, "anchor": anchors},
+    )
+
+
+def echo_shard(echo: np.ndarray, epoch: int = 0) -> xr.Dataset:
+    dims = ("sweep", "beam", "tone")
+    return xr.Dataset(
+        {
+            "echo_re": (dims, echo.real.astype(np.float32)),
+            "echo_im": (dims, echo.imag.astype(np.float32)),
+            "sweep_epoch": ("sweep", np.array([epoch])),
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
+    """The room as a dataset without paths and truth: what the estimator is to work from."""
+    rng = np.random.default_rng(31)
+    plan = load_floorplan("l-room")
+    track = plan.track()[::6]
+    paths = image_paths(plan, track, depth=2)
+    grid, noise = plan.radio.grid(), plan.radio.noise_variance()
+    cfr = add_noise(jitter(channel_response(paths, grid), grid, JITTER_S, rng), noise, rng)
+
+    beams, echo_grid, echo_noise = plan.echo.beams.beam_set(), plan.echo.grid(), plan.echo.noise_variance()
+    start, end = plan.walls_m()
+    offsets = vrp_of_line(start, end, track[0, :2]) - track[0, :2]
+    foot = track[0, :2] + 0.5 * offsets
+    along = np.sum((foot - start) * (end - start), axis=1) / np.sum((end - start) ** 2, axis=1)
+    vrps = offsets[(along > 0.0) & (along < 1.0) & (np.abs(foot[:, 1]) <= 40.0)]
+    lengths = np.linalg.norm(vrps, axis=1)
+    gains = 0.4 * echo_grid.wavelength_m / (4.0 * np.pi * lengths) * np.exp(2j * np.pi * rng.uniform(size=4))
+    patterns = beams.two_way(np.arctan2(vrps[:, 1], vrps[:, 0])).T * gains
+    echo = add_noise(patterns @ delay_atoms(echo_grid, lengths / SPEED_OF_LIGHT_M_S), echo_noise, rng)
+
+    anchors = [anchor.name for anchor in plan.anchors]
+    manifest = {
+        "name": "l-room",
+        "seed": 31,
+        "anchors": anchors,
+        "epochs": len(track),
+        "radio": signal(grid, noise),
+        "echo": {**signal(echo_grid, echo_noise), "beams": beams_of(beams)},
+    }
+    folder = tmp_path_factory.mktemp("room") / "dataset"
+    writer = DatasetWriter(folder, manifest)
+    half = len(track) // 2
+    writer.write("passive", "passive-00000.nc", passive_shard(cfr[:half], anchors))
+    writer.write("passive", "passive-00001.nc", passive_shard(cfr[half:], anchors, half))
+    writer.write("echo", "echo-00000.nc", echo_shard(echo[None]))
+    writer.finish()
+    return Room(open_dataset(folder), paths, vrps)
+
+
+def beams_of(beams: BeamSet) -> dict[str, Any]:
+    names = ("panels", "elements", "beams", "spacing_wavelengths", "heading_rad")
+    return {name: getattr(beams, name) for name in names}
+
+
+@pytest.fixture(scope="module")
+def measured(room: Room) -> MeasurementSet:
+    return extract(room.dataset)
+
+
+@dataclass(frozen=True)
+class Matched:
+    """How detections and true paths pair up, over all channels."""
+
+    errors: dict[int, np.ndarray]
+    normalised: dict[int, np.ndarray]
+    true: dict[int, int]
+    unexplained: float
+    without_path: float
+
+
+def match(measured: MeasurementSet, paths: PathSet) -> Matched:
+    """Pair detections with paths, of low order first, within half a metre."""
+    errors: dict[int, list[float]] = {0: [], 1: [], 2: []}
+    normalised: dict[int, list[float]] = {0: [], 1: [], 2: []}
+    true = dict.fromkeys(errors, 0)
+    unexplained = without = channels = 0
+    for t, epoch in enumerate(measured.epochs):
+        for k, heard in enumerate(epoch.paths):
+            channels += 1
+            valid = paths.valid[t, k]
+            length, order = paths.delay_s[t, k][valid] * SPEED_OF_LIGHT_M_S, paths.order[t, k][valid]
+            free = np.ones(len(heard), dtype=bool)
+            for q in errors:
+                wanted = length[order == q]
+                true[q] += len(wanted)
+                gap = np.abs(heard.range_m[:, None] - wanted)
+                gap[~free] = np.inf
+                for i, j in zip(*linear_sum_assignment(np.minimum(gap, GATE_M)), strict=True):
+                    if gap[i, j] < GATE_M:
+                        free[i] = False
+                        errors[q].append(heard.range_m[i] - wanted[j])
+                        normalised[q].append(errors[q][-1] / heard.range_std_m[i])
+            unexplained += int(np.sum(free))
+            nearest = np.min(np.abs(heard.range_m[:, None] - length), axis=1)
+            without += int(np.sum(nearest > GATE_M))
+    unexplained += len(errors[2])  # second-order paths are explained by nothing that is known at first
+    return Matched(
+        {q: np.array(e) for q, e in errors.items()},
+        {q: np.array(e) for q, e in normalised.items()},
+        true,
+        unexplained / channels,
+        without / channels,
+    )
+
+
+def test_delays_of_the_l_room(room: Room, measured: MeasurementSet) -> None:
+    """Detection, accuracy, clutter and honest deviations of delays in a room of six concrete walls."""
+    found = match(measured, room.paths)
+    assert found.true[0] > 70
+    assert found.true[1] > 250
+    assert len(found.errors[0]) >= 0.99 * found.true[0]
+    assert len(found.errors[1]) >= 0.95 * found.true[1]
+    for order in (0, 1):
+        error = found.errors[order]
+        assert 1.4826 * np.median(np.abs(error - np.median(error))) <= 0.05
+        assert np.std(error) <= 0.05
+        assert np.mean(np.abs(error) < 0.3) >= 0.99
+        assert 0.3 < np.mean(found.normalised[order] ** 2) < 2.0
+    assert found.unexplained <= 9.0
+    assert found.without_path <= 0.2
+
+
+def test_walls_of_the_l_room(room: Room, measured: MeasurementSet) -> None:
+    """The four walls in sight of the start are sensed, each within 4 sigma and 0.4 m, and no other."""
+    assert len(measured.walls) == 4
+    for wall in measured.walls:
+        error = wall.mean_m - room.vrps_m[np.argmin(np.linalg.norm(room.vrps_m - wall.mean_m, axis=1))]
+        assert np.linalg.norm(error) < 0.4
+        assert error @ np.linalg.solve(wall.covariance_m2, error) < 16.0
+
+
+def test_gains_are_those_of_the_paths(room: Room, measured: MeasurementSet) -> None:
+    """The gain of the line of sight is the free-space one, in dB."""
+    for t, k in ((0, 0), (20, 1)):
+        paths = measured.epochs[t].paths[k]
+        strongest = int(np.argmax(paths.gain_db))
+        truth = np.max(20.0 * np.log10(np.abs(room.paths.amplitude[t, k]).clip(1e-12)))
+        assert paths.gain_db[strongest] == pytest.approx(truth, abs=0.2)
+
+
+def test_epochs_anchors_and_settings_are_recorded(
+    room: Room, measured: MeasurementSet, tmp_path: Path
+) -> None:
+    """Shards follow each other, names and times are kept, and the settings survive the file."""
+    assert measured.anchors == ("pa1", "pa2")
+    assert [epoch.index for epoch in measured.epochs] == list(range(len(room.paths.delay_s)))
+    assert measured.epochs[3].time_s == 1.5
+    assert measured.carrier_hz == 28e9
+    assert measured.dataset is None
+    save_measurements(measured, tmp_path / "m.nc")
+    settings = load_measurements(tmp_path / "m.nc").settings
+    assert settings["seed"] == 31
+    assert settings["extract"]["nomp"]["dynamic_range_db"] == 30.0
+    assert settings["extract"]["flash"]["pursuit"]["max_range_m"] == 150.0
+
+
+def test_same_dataset_gives_the_same_bytes(room: Room, measured: MeasurementSet, tmp_path: Path) -> None:
+    """Extracting twice writes the same file twice."""
+    save_measurements(measured, tmp_path / "a.nc")
+    save_measurements(extract(room.dataset), tmp_path / "b.nc")
+    assert (tmp_path / "a.nc").read_bytes() == (tmp_path / "b.nc").read_bytes()
+
+
+def test_progress_reaches_the_end(room: Room) -> None:
+    """Progress counts channels, never goes back, and ends at all of them."""
+    seen: list[tuple[int, int]] = []
+    config = NompConfig(max_paths=1)
+    extract_epochs(
+        room.dataset, config, batch=30, progress=lambda done, total, text: seen.append((done, total))
+    )
+    total = 2 * len(room.paths.delay_s)
+    assert seen[-1] == (total, total)
+    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+    assert all(entry[1] == total for entry in seen)
+
+
+GRID = OfdmGrid(28e9, 480e3, 256, comb=4)
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Callable[..., Dataset]:
+    """Makes a small dataset of one path per channel, with changes to its parts."""
+
+    def build(
+        manifest: dict[str, Any] | None = None,
+        passive: xr.Dataset | None = None,
+        echo: xr.Dataset | None = None,
+        without: tuple[str, ...] = (),
+    ) -> Dataset:
+        rng = np.random.default_rng(32)
+        cfr = add_noise(1e-4 * delay_atoms(GRID, np.full((2, 1, 3), 1e-7)), 1e-12, rng)
+        whole = {
+            "anchors": ["a"],
+            "epochs": 2,
+            "radio": signal(GRID, 1e-12),
+            "echo": {**signal(GRID, 1e-12), "beams": beams_of(BeamSet(4, 4, 8))},
+        }
+        writer = DatasetWriter(tmp_path / "dataset", {**whole, **(manifest or {})})
+        if "passive" not in without:
+            shard = passive_shard(cfr, ["a"]) if passive is None else passive
+            writer.write("passive", "passive-00000.nc", shard)
+        if "echo" not in without:
+            shard = echo_shard(add_noise(np.zeros((1, 8, GRID.tones)), 1e-12, rng)) if echo is None else echo
+            writer.write("echo", "echo-00000.nc", shard)
+        writer.finish()
+        return open_dataset(tmp_path / "dataset")
+
+    return build
+
+
+def test_several_antennas_are_welcome(make: Callable[..., Dataset]) -> None:
+    """With an array at the agent, delays come from its first antenna."""
+    measured = extract(make())
+    assert [len(epoch.paths[0]) for epoch in measured.epochs] == [1, 1]
+    assert measured.epochs[0].paths[0].delay_s[0] == pytest.approx(1e-7, abs=1e-10)
+    assert measured.epochs[0].paths[0].gain_db[0] == pytest.approx(-80.0, abs=0.1)
+
+
+def test_a_dataset_without_a_sweep_has_no_walls(make: Callable[..., Dataset]) -> None:
+    """Without an echo shard there are epochs and no walls, also where the manifest knows no echo."""
+    dataset = make(without=("echo",))
+    assert sense_walls(dataset) == ()
+    assert len(extract(dataset).epochs) == 2
+
+
+def test_a_sweep_elsewhere_is_refused(make: Callable[..., Dataset]) -> None:
+    """A first sweep that is not at the start would give walls about another point."""
+    dataset = make(echo=echo_shard(np.zeros((1, 8, GRID.tones), dtype=complex), epoch=5))
+    with pytest.raises(InputError, match="expected a beam sweep at epoch 0, the first is at 5"):
+        extract(dataset)
+
+
+def test_channels_that_do_not_fit_the_manifest_are_refused(make: Callable[..., Dataset]) -> None:
+    """Another number of tones than the manifest says is named, for channels and for echoes."""
+    short = passive_shard(np.zeros((2, 1, 1, 50), dtype=complex), ["a"])
+    with pytest.raises(FileFormatError, match="expected channels of 1 anchors and 64 tones.* got 1 and 50"):
+        extract_epochs(make(passive=short))
+
+
+def test_echoes_that_do_not_fit_the_manifest_are_refused(make: Callable[..., Dataset]) -> None:
+    """Another number of beams than the manifest says is named."""
+    with pytest.raises(FileFormatError, match="expected an echo of 8 beams and 64 tones.* got 9 and 64"):
+        sense_walls(make(echo=echo_shard(np.zeros((1, 9, GRID.tones), dtype=complex))))
+
+
+def test_missing_parts_are_named(make: Callable[..., Dataset]) -> None:
+    """A manifest without channels, and one whose radio lacks an entry, say what is missing."""
+    dataset = make(without=("passive",))
+    with pytest.raises(FileFormatError, match="expected passive channels, the manifest lists none"):
+        extract(dataset)
+    radio = {name: value for name, value in dataset.manifest["radio"].items() if name != "comb"}
+    broken = Dataset(dataset.path, {**dataset.manifest, "radio": radio})
+    with pytest.raises(FileFormatError, match="radio: expected the entry 'comb' in the manifest"):
+        extract(broken)
+    with pytest.raises(FileFormatError, match="radio: expected a table in the manifest, got 7"):
+        extract(Dataset(dataset.path, {**dataset.manifest, "radio": 7}))
+
+
+@pytest.mark.parametrize("drop", [True, False])
+def test_bad_variables_are_named(make: Callable[..., Dataset], drop: bool) -> None:
+    """A missing variable and wrong axes are told apart."""
+    shard = passive_shard(np.zeros((2, 1, 1, GRID.tones), dtype=complex), ["a"])
+    shard = shard.drop_vars("cfr_im") if drop else shard.rename(antenna="element")
+    message = "passive: expected the variable .*cfr_im" if drop else "passive: expected cfr with the axes"
+    with pytest.raises(FileFormatError, match=message):
+        extract_epochs(make(passive=shard))
+
+
+def test_a_truncated_shard_is_refused_and_left_alone(make: Callable[..., Dataset]) -> None:
+    """A shard cut short is named with both sizes, and stays as it is."""
+    dataset = make()
+    file = dataset.path / "passive-00000.nc"
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-100])
+    with pytest.raises(FileFormatError, match="truncated or changed"):
+        extract(dataset)
+    assert file.read_bytes() == whole[:-100]
+    assert json.loads((dataset.path / "manifest.json").read_text())["complete"] is True
+
+
+def test_bad_batches_are_refused() -> None:
+    """A batch holds at least one channel."""
+    with pytest.raises(ConfigurationError, match="batch: expected at least 1, got 0"):
+        ExtractConfig(batch=0)
