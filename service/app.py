@@ -13,7 +13,7 @@ from service import problems
 from service.auth import KeyRing
 from service.context import Context
 from service.middleware import RequestMiddleware
-from service.routes import events, health, measurements, pages, sessions, state
+from service.routes import events, health, measurements, pages, sessions, state, uploads
 from service.settings import Settings
 from service.store import Store, opened
 from service.telemetry import Metrics
@@ -66,7 +66,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.context = here
     problems.install(app)
     app.add_middleware(RequestMiddleware, metrics=here.metrics, timeout_s=settings.request_timeout_s)
-    for module in (health, sessions, measurements, state, events, pages):
+    for module in (health, sessions, measurements, uploads, state, events, pages):
         app.include_router(module.router)
     return app
 

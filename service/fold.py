@@ -50,6 +50,10 @@ class Job:
     snapshot: bytes | None
     epochs: tuple[str, ...]
 
+    def run(self, cache: StateCache) -> Folded:
+        """Fold it; see :func:`fold`."""
+        return fold(self, cache)
+
 
 @dataclass(frozen=True)
 class Folded:

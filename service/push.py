@@ -12,7 +12,7 @@ from estimator.errors import InputError
 from estimator.measurements import Epoch, MeasurementSet, load_measurements
 from service.client import Client
 
-__all__ = ["Pushed", "epoch_entry", "push_file", "session_entry", "sweep_entry"]
+__all__ = ["Pushed", "epoch_entry", "push_file", "session_entry", "sweep_entry", "truth_entry"]
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def push_file(
     epochs = measurements.epochs
     if [epoch.index for epoch in epochs] != list(range(len(epochs))):
         raise InputError(f"{file}: expected epochs numbered 0, 1, 2, ... without a gap")
-    known = None if truth is None else _truth(truth)
+    known = None if truth is None else truth_entry(truth)
     if session is None:
         request = session_entry(measurements, name=name or file.stem, method=method, engine=engine, seed=seed)
         if known is not None:
@@ -137,7 +137,7 @@ def push_file(
     return Pushed(session, len(epochs), len(epochs) - begin)
 
 
-def _truth(dataset: Path) -> dict[str, Any]:
+def truth_entry(dataset: Path) -> dict[str, Any]:
     """The truth of a dataset as ``PUT .../truth`` takes it."""
     data = open_dataset(dataset).truth()
     start = [float(value) for value in data.attrs["start_m"][:2]]

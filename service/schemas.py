@@ -11,7 +11,19 @@ from estimator.errors import InputError
 from estimator.geometry import rotation_matrix
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp
 
-__all__ = ["EpochsRequest", "Flash", "SessionRequest", "StartFrame", "SweepRequest", "Truth", "Wall"]
+__all__ = [
+    "Finite",
+    "Flash",
+    "Name",
+    "Number",
+    "Request",
+    "SessionRequest",
+    "SiEpoch",
+    "StartFrame",
+    "SweepRequest",
+    "Truth",
+    "Wall",
+]
 
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]
 Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1e15)]
@@ -189,35 +201,6 @@ class SiEpoch(Request):
             except InputError as error:
                 raise InputError(f"epoch {self.epoch}, anchor {name}: {error}") from error
         return Epoch(self.epoch, self.time_s, tuple(paths))
-
-
-class EpochsRequest(Request):
-    """One or many consecutive epochs."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "epochs": [
-                        {
-                            "epoch": 0,
-                            "time_s": 0.0,
-                            "anchors": {
-                                "pa1": {
-                                    "delay_s": [1.95e-7, 2.61e-7],
-                                    "delay_std_s": [3.3e-10, 3.3e-10],
-                                    "gain_db": [-97.1, -104.8],
-                                },
-                                "pa2": {"delay_s": [1.28e-7], "delay_std_s": [3.3e-10], "gain_db": [-93.0]},
-                            },
-                        }
-                    ]
-                }
-            ]
-        }
-    )
-
-    epochs: Annotated[list[SiEpoch], Field(min_length=1, max_length=100_000)]
 
 
 class TruthWall(Request):

@@ -17,15 +17,19 @@ import zlib
 from concurrent.futures import Future
 from multiprocessing.connection import Connection, wait
 from types import TracebackType
+from typing import Any, Protocol, TypeVar
 
 from service.errors import BusyError, StepTimeoutError, WorkerDiedError
-from service.fold import Folded, Job, StateCache, fold
+from service.fold import Folded, Job, StateCache
 
-__all__ = ["StepPool"]
+__all__ = ["StepPool", "Task"]
+
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
 
 def _serve(connection: Connection) -> None:
-    """Life of a worker: fold job after job until the server is gone."""
+    """Life of a worker: task after task until the server is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the server drains, then closes the connection
     warnings.simplefilter("ignore", RuntimeWarning)  # wild measurements overflow; estimates are checked
@@ -34,18 +38,28 @@ def _serve(connection: Connection) -> None:
     cache = StateCache()
     while True:
         try:
-            job: Job = connection.recv()
+            task: Task[Any] = connection.recv()
         except (EOFError, OSError):
             return
+        answer: tuple[Any, Exception | None]
         try:
-            connection.send(fold(job, cache))
+            answer = (task.run(cache), None)
         except Exception as error:  # to be raised where the request waits
-            connection.send(error)
+            answer = (None, error)
+        connection.send(answer)
 
 
 def _end_with(sentinel: int) -> None:
     wait([sentinel])
     os._exit(1)
+
+
+class Task(Protocol[T_co]):
+    """Work for a worker: it travels to the process and back by value."""
+
+    def run(self, cache: StateCache) -> T_co:
+        """Do it."""
+        ...
 
 
 class StepPool:
@@ -83,22 +97,27 @@ class StepPool:
         return sum(worker.waiting for worker in self._workers)
 
     def fold(self, job: Job) -> Folded:
-        """Fold a job; see :func:`service.fold.fold`.
+        """Fold a job with its session's worker; raises as :meth:`run` and :func:`service.fold.fold`."""
+        return self.run(job.session_id, job)
+
+    def run(self, key: str, task: Task[T]) -> T:
+        """Run a task with the worker that ``key`` belongs to.
 
         Raises
         ------
         BusyError
-            If too many jobs wait for the session's worker.
+            If too many tasks wait for the worker.
         StepTimeoutError
-            If the job took too long.
+            If the task took too long.
         WorkerDiedError
             If the worker died over it.
         """
         if not self._workers:
             with self._own:
-                return fold(job, self._cache)
-        worker = self._workers[zlib.crc32(job.session_id.encode()) % len(self._workers)]
-        return worker.submit(job).result()
+                return task.run(self._cache)
+        worker = self._workers[zlib.crc32(key.encode()) % len(self._workers)]
+        result: T = worker.submit(task).result()
+        return result
 
 
 class _Worker:
@@ -106,7 +125,7 @@ class _Worker:
 
     def __init__(self, max_waiting: int, timeout_s: float) -> None:
         self._timeout_s = timeout_s
-        self._queue: queue.Queue[tuple[Job, Future[Folded]] | None] = queue.Queue(max_waiting)
+        self._queue: queue.Queue[tuple[Task[Any], Future[Any]] | None] = queue.Queue(max_waiting)
         self._thread = threading.Thread(target=self._feed, daemon=True, name="hapslam-worker")
         self._busy = False
 
@@ -125,10 +144,10 @@ class _Worker:
         self._process.join()
         self._connection.close()
 
-    def submit(self, job: Job) -> Future[Folded]:
-        future: Future[Folded] = Future()
+    def submit(self, task: Task[Any]) -> Future[Any]:
+        future: Future[Any] = Future()
         try:
-            self._queue.put_nowait((job, future))
+            self._queue.put_nowait((task, future))
         except queue.Full:
             raise BusyError(f"expected a free worker, {self._queue.qsize()} requests wait already") from None
         return future
@@ -142,30 +161,30 @@ class _Worker:
 
     def _feed(self) -> None:
         while (item := self._queue.get()) is not None:
-            job, future = item
+            task, future = item
             self._busy = True
             try:
-                future.set_result(self._ask(job))
+                future.set_result(self._ask(task))
             except BaseException as error:
                 future.set_exception(error)
             finally:
                 self._busy = False
 
-    def _ask(self, job: Job) -> Folded:
+    def _ask(self, task: Task[Any]) -> Any:
         try:
-            self._connection.send(job)
+            self._connection.send(task)
             if not self._connection.poll(self._timeout_s):
                 self._replace()
                 raise StepTimeoutError(f"expected the step to take at most {self._timeout_s:g} s, gave it up")
-            answer = self._connection.recv()
+            value, problem = self._connection.recv()
         except (EOFError, OSError) as error:
             self._replace()
             raise WorkerDiedError(
                 "the process that stepped the session died; nothing was taken in"
             ) from error
-        if isinstance(answer, Folded):
-            return answer
-        raise answer
+        if problem is not None:
+            raise problem
+        return value
 
     def _replace(self) -> None:
         self._process.kill()

@@ -9,12 +9,13 @@ from fastapi import APIRouter, Response
 
 from estimator.measurements import Epoch
 from service.context import Context, ContextDep, SessionAccess, SessionDep
+from service.epoch_schemas import EpochsRequest
 from service.errors import TooLargeError
-from service.schemas import EpochsRequest, SweepRequest
+from service.schemas import SweepRequest
 from service.sessions import Taken, take_epochs, take_sweep
 from service.settings import Settings
 
-__all__ = ["router"]
+__all__ = ["answer", "router", "take"]
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["measurements"])
 
@@ -47,12 +48,11 @@ async def epochs(request: EpochsRequest, session: SessionDep, here: ContextDep) 
             f"epochs: expected at most {here.settings.max_epochs_per_request} in a request, "
             f"got {len(request.epochs)}"
         )
-    return await answer_epochs(here, session, request)
+    return answer(here, session, *await here.run(_take, here, session, request))
 
 
-async def answer_epochs(here: Context, session: SessionAccess, request: EpochsRequest) -> Response:
-    """Take in the epochs of a request and answer as :func:`epochs` says."""
-    taken, state = await here.run(_take, here, session, request)
+def answer(here: Context, session: SessionAccess, taken: Taken, state: str) -> Response:
+    """The answer to epochs that were taken in; wakes those who follow the session."""
     here.bell.ring(session.id)
     here.metrics.epochs.inc(taken.new)
     body = f'{{"first_epoch":{taken.first},"last_epoch":{taken.last},"state":{state}}}'

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Response
 from sqlalchemy import Row
 
 from estimator.slam.methods import PAIRS
+from service.auth import Caller
 from service.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
 from service.documents import dump
 from service.errors import TooLargeError, TooManyError
@@ -17,7 +18,7 @@ from service.fold import engine_of
 from service.schemas import SessionRequest, Truth
 from service.sessions import new_session_id
 
-__all__ = ["router", "session_document"]
+__all__ = ["create_session", "read", "router", "session_document"]
 
 router = APIRouter(prefix="/v1", tags=["sessions"])
 
@@ -33,6 +34,13 @@ async def create(
     request: SessionRequest, here: ContextDep, who: CallerDep, response: Response
 ) -> dict[str, Any]:
     """Make a session; measurements go to the address in ``Location``."""
+    session = await create_session(request, here, who)
+    response.headers["Location"] = f"/v1/sessions/{session.id}"
+    return await read(session, here)
+
+
+async def create_session(request: SessionRequest, here: Context, who: Caller) -> SessionAccess:
+    """Make a session for a caller, within the limits."""
     if len(request.anchors) > here.settings.max_anchors:
         raise TooLargeError(
             f"anchors: expected at most {here.settings.max_anchors}, got {len(request.anchors)}"
@@ -43,8 +51,7 @@ async def create(
     limit = here.settings.max_sessions_per_key
     if not await here.run(here.store.create, session.id, who.key_id, request.name, dump(config), limit):
         raise TooManyError(f"expected at most {limit} sessions of a key; delete some")
-    response.headers["Location"] = f"/v1/sessions/{session.id}"
-    return await read(session, here)
+    return session
 
 
 @router.get("/sessions", summary="List sessions")

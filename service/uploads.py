@@ -1,0 +1,225 @@
+"""Files sent by clients: raw channels, datasets, measurement files; read in a worker process.
+
+Nothing in a file is trusted: sizes are added up before anything is unpacked, arrays come
+without pickles, names inside an archive must be those that a dataset has, and what
+crashes a reader takes its worker along and no more.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from estimator.channel.nomp import NompPlan
+from estimator.dataset import KINDS, MANIFEST, open_dataset
+from estimator.errors import FileFormatError, InputError
+from estimator.extract import extract
+from estimator.measurements import AnchorPaths, Epoch, MeasurementSet, load_measurements
+from estimator.waveform import OfdmGrid
+from service.errors import TooLargeError
+from service.fold import StateCache
+from service.push import truth_entry
+
+__all__ = ["ChannelsTask", "FileTask", "Unpacked"]
+
+_ZIP, _HDF5 = b"PK\x03\x04", b"\x89HDF\r\n\x1a\n"
+_BATCH = 64  # channels estimated together
+_CHANNELS = ("cfr_re", "cfr_im", "time_s", "epoch", "anchor", "tone_offset_hz")
+
+
+@dataclass(frozen=True)
+class ChannelsTask:
+    """Estimate the delays in raw channels.
+
+    Parameters
+    ----------
+    body : bytes
+        netCDF or npz with ``cfr_re``, ``cfr_im`` (epoch, anchor, antenna, tone), ``time_s``,
+        ``epoch``, ``anchor`` (names) and ``tone_offset_hz`` (ascending, evenly spaced).
+    anchors : tuple of str
+        The session's anchors.
+    carrier_hz : float
+        Carrier frequency.
+    noise_variance : float
+        Variance of the channels' noise per tone.
+    max_unpacked_bytes : int
+        Most that the file may unpack to.
+    """
+
+    body: bytes
+    anchors: tuple[str, ...]
+    carrier_hz: float
+    noise_variance: float
+    max_unpacked_bytes: int
+
+    def run(self, cache: StateCache) -> tuple[Epoch, ...]:
+        """Read the file and estimate; raises FileFormatError or InputError."""
+        del cache
+        data = _arrays(self.body, self.max_unpacked_bytes)
+        real, imaginary = (np.asarray(data[name], dtype=np.float64) for name in ("cfr_re", "cfr_im"))
+        if real.shape != imaginary.shape:
+            raise FileFormatError(f"cfr_im: expected shape {real.shape} as cfr_re, got {imaginary.shape}")
+        cfr = real + 1j * imaginary
+        index = np.asarray(data["epoch"], dtype=np.int64)
+        time_s = np.asarray(data["time_s"], dtype=np.float64)
+        names = [str(name) for name in np.asarray(data["anchor"]).ravel()]
+        grid = self._grid(np.asarray(data["tone_offset_hz"], dtype=np.float64))
+        wanted = (len(index), len(self.anchors), grid.tones)
+        if cfr.ndim != 4 or cfr.shape[2] < 1 or (cfr.shape[0], cfr.shape[1], cfr.shape[3]) != wanted:
+            raise FileFormatError(
+                f"cfr: expected shape ({wanted[0]}, {wanted[1]}, antennas, {wanted[2]}), got {cfr.shape}"
+            )
+        if sorted(names) != sorted(self.anchors):
+            raise InputError(f"anchor: expected {', '.join(self.anchors)}, got {', '.join(names[:20])}")
+        if time_s.shape != index.shape or not np.all(np.isfinite(time_s)):
+            raise FileFormatError("time_s: expected a finite time for each epoch")
+        if np.any(index < 0) or np.any(index > 2**31 - 2):
+            raise FileFormatError("epoch: expected numbers from 0 on")
+        cfr = cfr[:, [names.index(name) for name in self.anchors], 0, :]
+        rows = cfr.reshape(-1, grid.tones)
+        plan = NompPlan(grid)
+        found = [
+            AnchorPaths(e.delay_s, np.sqrt(e.variance_s2), 20.0 * np.log10(np.abs(e.gain)))
+            for first in range(0, len(rows), _BATCH)
+            for e in plan.estimate(rows[first : first + _BATCH], self.noise_variance)
+        ]
+        count = len(self.anchors)
+        return tuple(
+            Epoch(int(index[i]), float(time_s[i]), tuple(found[i * count : (i + 1) * count]))
+            for i in range(len(index))
+        )
+
+    def _grid(self, offset_hz: NDArray[np.float64]) -> OfdmGrid:
+        """The grid of the tones: what matters to delays is their number and their spacing."""
+        spacing = np.diff(offset_hz) if offset_hz.ndim == 1 else np.zeros(0)
+        even = spacing.size and np.all(np.isfinite(spacing)) and spacing[0] > 0.0
+        if not even or not np.allclose(spacing, spacing[0], rtol=1e-6):
+            raise FileFormatError(
+                "tone_offset_hz: expected ascending, evenly spaced offsets of two tones or more"
+            )
+        return OfdmGrid(self.carrier_hz, float(spacing.mean()), len(offset_hz))
+
+
+@dataclass(frozen=True)
+class Unpacked:
+    """What a file held.
+
+    Parameters
+    ----------
+    measurements : MeasurementSet
+        Walls and epochs.
+    truth : dict or None
+        The truth, as ``PUT .../truth`` takes it.
+    """
+
+    measurements: MeasurementSet
+    truth: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class FileTask:
+    """Read a measurement file, or a zipped dataset whose channels are estimated as `extract` does.
+
+    Parameters
+    ----------
+    body : bytes
+        The file.
+    max_unpacked_bytes : int
+        Most that it may unpack to.
+    """
+
+    body: bytes
+    max_unpacked_bytes: int
+
+    def run(self, cache: StateCache) -> Unpacked:
+        """Read it; raises FileFormatError, InputError or TooLargeError."""
+        del cache
+        with TemporaryDirectory(prefix="hapslam-") as folder:
+            if self.body.startswith(_ZIP):
+                return _dataset(self.body, Path(folder), self.max_unpacked_bytes)
+            if not self.body.startswith(_HDF5):
+                raise FileFormatError("file: expected a netCDF-4 measurement file or a zipped dataset")
+            file = Path(folder) / "measurements.nc"
+            file.write_bytes(self.body)
+            _check_netcdf(file, self.max_unpacked_bytes)
+            try:
+                return Unpacked(load_measurements(file))
+            except InputError as error:
+                raise FileFormatError(str(error).replace(f"{folder}/", "")) from error
+
+
+def _arrays(body: bytes, limit: int) -> dict[str, Any]:
+    """The arrays of a file of channels."""
+    try:
+        if body.startswith(_ZIP):
+            with zipfile.ZipFile(io.BytesIO(body)) as archive:
+                _check_archive(archive, limit)
+            with np.load(io.BytesIO(body), allow_pickle=False) as arrays:
+                return {name: arrays[name] for name in _CHANNELS}
+        if body.startswith(_HDF5):
+            with TemporaryDirectory(prefix="hapslam-") as folder:
+                file = Path(folder) / "channels.nc"
+                file.write_bytes(body)
+                _check_netcdf(file, limit)
+                with xr.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
+                    return {name: data[name].values for name in _CHANNELS}
+    except KeyError as error:
+        raise FileFormatError(f"file: expected {', '.join(_CHANNELS)}, {error} is missing") from error
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise FileFormatError(
+            f"file: expected arrays without objects, could not read them: {error}"
+        ) from error
+    raise FileFormatError("file: expected netCDF-4 or npz, got something else")
+
+
+def _check_archive(archive: zipfile.ZipFile, limit: int) -> None:
+    size = sum(entry.file_size for entry in archive.infolist())
+    if size > limit:
+        raise TooLargeError(f"file: expected to unpack to at most {limit} bytes, got {size}")
+
+
+def _check_netcdf(file: Path, limit: int) -> None:
+    """Add up what a netCDF file's variables unpack to, before any is read."""
+    try:
+        with xr.open_dataset(file, engine="h5netcdf", decode_cf=False) as data:
+            size = sum(8 * variable.size for variable in data.variables.values())
+    except Exception as error:  # whatever the library makes of rubbish
+        raise FileFormatError("file: expected a complete netCDF-4 file, could not read it") from error
+    if size > limit:
+        raise TooLargeError(f"file: expected to unpack to at most {limit} bytes, got {size}")
+
+
+def _dataset(body: bytes, folder: Path, limit: int) -> Unpacked:
+    """Unpack a dataset under names of our own and estimate its measurements."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(body)) as archive:
+            _check_archive(archive, limit)
+            members = {Path(entry.filename).name: entry for entry in archive.infolist() if not entry.is_dir()}
+            for name, entry in members.items():
+                if name == MANIFEST or (name.endswith(".nc") and name.split("-")[0].split(".")[0] in KINDS):
+                    (folder / name).write_bytes(archive.read(entry))
+    except (zipfile.BadZipFile, OSError, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
+        raise FileFormatError(f"file: expected a zipped dataset, could not unpack it: {error}") from error
+    for file in folder.glob("*.nc"):
+        _check_netcdf(file, limit)
+    try:
+        dataset = open_dataset(folder)
+        measurements = extract(dataset)
+        truth = None
+        if any(entry["kind"] == "truth" for entry in dataset.manifest["shards"]):
+            truth = truth_entry(folder)
+    except InputError as error:
+        raise FileFormatError(str(error).replace(f"{folder}/", "").replace(str(folder), "dataset")) from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileFormatError(f"dataset: expected what `hapslam trace` writes: {error!r}") from error
+    return Unpacked(measurements, truth)
