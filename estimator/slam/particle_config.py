@@ -1,8 +1,12 @@
-"""Configuration of the particle engine; the defaults are the paper's (Section V-E)."""
+"""Configuration of the particle engine.
+
+The models are the paper's (Section V-E). Four defaults of the inference are not: as
+published it loses walls and agents (numbers beside :meth:`ParticleConfig.published`).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -59,7 +63,8 @@ class ParticleConfig:
     anchor_std_m : float
         Standard deviation of known anchors, per axis.
     feature_std_m : float
-        Driving noise of features per epoch and axis, for numerical stability.
+        Driving noise of features per epoch and axis, metres: keeps their beliefs from
+        narrowing beyond what independent marginals can know.
     height2_mean_m2 : float
         Squared height difference of anchors and agent, square metres.
     survival_probability : float
@@ -72,6 +77,10 @@ class ParticleConfig:
         Existence probability from which a feature counts as found, (35).
     similarity_m : float
         Features closer than this are one, (48), metres.
+    worse_ratio : float
+        A belief whose variance an anchor's paths would raise by more than this ratio is
+        not updated, (48). At 1, as published, the rule ratchets: of beliefs that only
+        fluctuate it keeps those that came out too narrow.
     start_visibility : float
         Probability that a feature can be heard by an anchor that has not told; 1 (with
         ``vanish_probability`` 0) is the constant detection probability of the paper.
@@ -96,17 +105,18 @@ class ParticleConfig:
     velocity_std_m_s: float = 1.0
     start_std_m: float = 0.0
     anchor_std_m: float = 0.0
-    feature_std_m: float = 1e-4
+    feature_std_m: float = 0.01
     height2_mean_m2: float = 0.0
     survival_probability: float = 0.999
     new_mean: float = 1e-4
     prune_probability: float = 1e-4
     detect_threshold: float = 0.5
     similarity_m: float = 1.0
+    worse_ratio: float = 2.0
     start_visibility: float = 0.5
     appear_probability: float = 0.01
     vanish_probability: float = 0.01
-    pairings: int = 1
+    pairings: int = 4
     start_matches: int = 4
     start_window: int = 16
 
@@ -122,6 +132,23 @@ class ParticleConfig:
                 raise ConfigurationError(f"{name}: expected a whole number, got {value!r}")
         if self.detection_probability == 1.0:
             raise ConfigurationError("ParticleConfig.detection_probability: expected less than 1, got 1.0")
+
+    def published(self) -> ParticleConfig:
+        """The same models with the paper's inference to the letter.
+
+        One pairing of particles, features that hardly move (variance 1e-8), one detection
+        probability for all pairs of anchor and feature, and updates refused as soon as the
+        variance rises.
+        """
+        return replace(
+            self,
+            pairings=1,
+            feature_std_m=1e-4,
+            start_visibility=1.0,
+            appear_probability=0.0,
+            vanish_probability=0.0,
+            worse_ratio=1.0,
+        )
 
     @property
     def clutter_density(self) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.measurements import AnchorPaths
 from estimator.slam.methods import Method
@@ -87,9 +88,9 @@ def hear_anchor(
     agent = resample(state.agent, said.agent, rng)
     anchors = state.anchors_m.copy()
     if method.anchors != "known":
-        anchors[k] = _refined(anchors[k], said.anchor, rng)
+        anchors[k] = _refined(anchors[k], said.anchor, config, rng)
     for j, log_weight in zip(mine.tolist(), said.points, strict=True):
-        features.points_m[j] = _refined(features.points_m[j], log_weight, rng)
+        features.points_m[j] = _refined(features.points_m[j], log_weight, config, rng)
     features.existence[mine] = said.existence[1:]
     features.visibility[mine, k] = said.visibility[1:]
     sight = state.sight.copy()
@@ -118,9 +119,12 @@ def hear_anchor(
     )
 
 
-def _refined(cloud: Cloud, log_weight: np.ndarray, rng: np.random.Generator) -> Cloud:
+def _refined(
+    cloud: Cloud, log_weight: NDArray[np.float32], config: ParticleConfig, rng: np.random.Generator
+) -> Cloud:
     """The belief with its weights taken in, unless that made it less certain, (48)."""
     if log_weight.max() == log_weight.min():
         return cloud
     after = resample(cloud, log_weight, rng)
-    return after
+    worse = np.trace(moments_of(after)[1]) > config.worse_ratio * np.trace(moments_of(cloud)[1])
+    return cloud if worse else after
