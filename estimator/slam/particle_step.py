@@ -39,8 +39,12 @@ def predict(
     agent = transition(step_s).astype(np.float32) @ state.agent
     agent += gaussian_cloud(np.zeros(4), noise, state.particles, rng)
     features = state.features.copy()
-    shape = features.points_m.shape
-    features.points_m[...] += np.float32(config.feature_std_m) * rng.standard_normal(shape, dtype=np.float32)
+    # one table of driving noise, which every feature reads from a place of its own
+    driving = gaussian_cloud(np.zeros(2), config.feature_std_m**2 * np.eye(2), state.particles, rng)
+    for cloud, shift in zip(
+        features.points_m, rng.integers(state.particles, size=len(features)), strict=True
+    ):
+        cloud += np.roll(driving, shift, axis=-1)
     features.existence[...] *= config.survival_probability
     stay, appear = 1.0 - config.vanish_probability, config.appear_probability
     features.visibility[...] = stay * features.visibility + appear * (1.0 - features.visibility)
