@@ -1,0 +1,191 @@
+"""What a smoother works on: which measurement came from which feature, in the gauge of the layout.
+
+A :class:`Problem` lists the factors of a whole run: path lengths (and directions) given to features of
+anchors, walls sensed at the start, walls seen by sweeps on the way. A :class:`Trajectory` says where
+everything is: the agent at every epoch, and what stands still, as a state vector of
+:mod:`estimator.slam.layout`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import InputError
+from estimator.measurements import GaussianVrp
+from estimator.slam.config import GaussianConfig
+from estimator.slam.layout import Layout
+
+__all__ = ["PathFactors", "Problem", "SweepFactor", "Trajectory"]
+
+Array = NDArray[np.float64]
+
+_VAGUE = 1e-8  # 1 / m^2: keeps a feature without measurements where it is
+
+
+@dataclass(frozen=True, eq=False)
+class PathFactors:
+    """Measured paths with the features they come from.
+
+    Parameters
+    ----------
+    epoch, anchor, feature : ndarray of int64, shape (N,)
+        Row of the problem's epochs, anchor, and feature as in :mod:`estimator.slam.features`.
+    length_m, std_m : ndarray, shape (N,)
+        Path lengths and standard deviations, metres.
+    azimuth_rad, azimuth_std_rad : ndarray, shape (N,), optional
+        Directions of arrival in the estimator's frame; an infinite standard deviation where
+        there is none.
+    """
+
+    epoch: NDArray[np.int64]
+    anchor: NDArray[np.int64]
+    feature: NDArray[np.int64]
+    length_m: Array
+    std_m: Array
+    azimuth_rad: Array | None = None
+    azimuth_std_rad: Array | None = None
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.epoch)
+        for name in ("epoch", "anchor", "feature", "length_m", "std_m"):
+            if np.shape(getattr(self, name)) != shape or len(shape) != 1:
+                got = np.shape(getattr(self, name))
+                raise InputError(f"PathFactors.{name}: expected shape (N,) like epoch {shape}, got {got}")
+        if not np.all(self.std_m > 0.0) or not np.all(np.isfinite(self.length_m)):
+            raise InputError("PathFactors: expected finite lengths and positive standard deviations")
+
+    def within(self, first: int, last: int) -> PathFactors:
+        """The factors of epochs ``first .. last``, both included, counted from ``first``."""
+        keep = (self.epoch >= first) & (self.epoch <= last)
+        angles = (
+            None if value is None else value[keep] for value in (self.azimuth_rad, self.azimuth_std_rad)
+        )
+        return PathFactors(
+            self.epoch[keep] - first,
+            self.anchor[keep],
+            self.feature[keep],
+            self.length_m[keep],
+            self.std_m[keep],
+            *angles,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SweepFactor:
+    """A wall seen on the way: the agent's mirror image relative to the agent.
+
+    Parameters
+    ----------
+    epoch, slot : int
+        Row of the problem's epochs, and the wall.
+    flash : GaussianVrp
+        The image, in the estimator's axes.
+    """
+
+    epoch: int
+    slot: int
+    flash: GaussianVrp
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A run to be smoothed.
+
+    Parameters
+    ----------
+    layout : Layout
+        Anchors and wall slots; the wall in slot 0 defines the gauge.
+    time_s : ndarray, shape (T,)
+        Times of the epochs, ascending.
+    paths : PathFactors
+        Measured paths.
+    sensed : tuple of (GaussianVrp or None), length L
+        What active sensing at the start gave for each slot, estimator's frame; slot 0 must have it.
+    config : GaussianConfig
+        Models: motion, priors of heights, clock biases and the initial velocity.
+    sweeps : tuple of SweepFactor
+        Walls seen on the way.
+    """
+
+    layout: Layout
+    time_s: Array
+    paths: PathFactors
+    sensed: tuple[GaussianVrp | None, ...]
+    config: GaussianConfig
+    sweeps: tuple[SweepFactor, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        if len(self.sensed) != self.layout.slots or not self.sensed or self.sensed[0] is None:
+            raise InputError(
+                f"Problem.sensed: expected an entry for each of {self.layout.slots} walls and the first "
+                f"one sensed, got {len(self.sensed)}"
+            )
+        if len(self.time_s) == 0 or np.any(np.diff(self.time_s) <= 0.0):
+            raise InputError("Problem.time_s: expected ascending times")
+        limits = (len(self.time_s), self.layout.anchors, self.layout.features)
+        for name, limit in zip(("epoch", "anchor", "feature"), limits, strict=True):
+            value = getattr(self.paths, name)
+            if value.size and (value.min() < 0 or value.max() >= limit):
+                raise InputError(
+                    f"Problem.paths.{name}: expected numbers from 0 to {limit - 1}, got {value.max()}"
+                )
+
+    @property
+    def bearing_rad(self) -> float:
+        """Sensed bearing of the reference wall: the gauge frame's x axis for ``theta = 0``."""
+        reference = self.sensed[0]
+        assert reference is not None  # checked on construction
+        return float(np.arctan2(reference.mean_m[1], reference.mean_m[0]))
+
+    def basis(self) -> tuple[Array, Array]:
+        """Free directions (n, q) of what stands still, and the information (q,) of their priors."""
+        layout, config = self.layout, self.config
+        columns, information = [layout.THETA], [0.0]
+        for k in range(layout.anchors):
+            place = layout.anchor_xy(k)
+            columns += [place.start, place.start + 1]
+            information += [_VAGUE, _VAGUE]
+            if config.height2_std_m2 > 0.0:
+                columns.append(layout.height2(k))
+                information.append(config.height2_std_m2**-2)
+            if config.clock_bias_std_m > 0.0 and not (config.clock_bias_common and k):
+                columns.append(layout.bias(k))
+                information.append(config.clock_bias_std_m**-2)
+        walls = np.arange(layout.walls.start, layout.walls.stop)
+        columns += [int(c) for c in np.delete(walls, 1)]  # the gauge: VRP 0 lies on the x axis
+        information += [_VAGUE] * (len(walls) - 1)
+        basis = np.zeros((layout.size, len(columns)))
+        basis[columns, np.arange(len(columns))] = 1.0
+        if config.clock_bias_std_m > 0.0 and config.clock_bias_common:
+            shared = columns.index(layout.bias(0))
+            basis[[layout.bias(k) for k in range(layout.anchors)], shared] = 1.0
+        return basis, np.array(information)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Where everything is, in the gauge frame.
+
+    Parameters
+    ----------
+    agent : ndarray, shape (T, 4)
+        Agent states.
+    still : ndarray, shape (n,)
+        State vector of what stands still; its agent entries are not used.
+    """
+
+    agent: Array
+    still: Array
+
+    def moved(self, agent: Array, border: Array, basis: Array) -> Trajectory:
+        """The trajectory after a step of the chain (T, 4) and of the border (q,)."""
+        return Trajectory(self.agent + agent, self.still + basis @ border)
+
+    def states(self) -> Array:
+        """State vectors of all epochs, shape (T, n)."""
+        states = np.tile(self.still, (len(self.agent), 1))
+        states[:, Layout.AGENT] = self.agent
+        return states
