@@ -1,8 +1,17 @@
-"""What holds for every test."""
+"""What holds for every test, and runs of the command line."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
 import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -11,3 +20,55 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     mute = sorted({test.nodeid.split("[")[0] for test in tests if not test.function.__doc__})
     if mute:
         raise pytest.UsageError("expected a docstring in every test, missing in:\n  " + "\n  ".join(mute))
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a command printed and how it ended."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture(scope="session")
+def hapslam() -> Callable[..., Run]:
+    """Runs ``hapslam ARGUMENTS`` in a process of its own, as a user does."""
+
+    def run(*arguments: object, cwd: Path | None = None, **environment: str) -> Run:
+        done = subprocess.run(
+            [sys.executable, "-c", "from service.cli import main; main()", *map(str, arguments)],
+            cwd=cwd,
+            env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+        return Run(done.returncode, done.stdout, done.stderr)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def demo(hapslam: Callable[..., Run], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
+    """The folder of `hapslam demo --seed 1 --json`, and what it printed."""
+    out = tmp_path_factory.mktemp("demo") / "out"
+    run = hapslam("demo", "--seed", 1, "--out", out, "--json")
+    assert run.status == 0, run.err
+    return out, run
+
+
+@pytest.fixture
+def main(capfd: pytest.CaptureFixture[str]) -> Callable[..., Run]:
+    """Runs ``hapslam ARGUMENTS`` in this process: fast, for commands that do not trace."""
+    from service.cli import main as entry
+
+    def run(*arguments: object) -> Run:
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            entry([str(argument) for argument in arguments])
+        printed = capfd.readouterr()
+        return Run(int(ended.value.code or 0), printed.out, printed.err)
+
+    return run

@@ -26,8 +26,8 @@ sys.meta_path.insert(0, Block())
 
 
 def modules(package: str) -> list[str]:
-    """All modules of a package, by their dotted names."""
-    files = sorted((ROOT / package).rglob("*.py"))
+    """All modules of a package, by their dotted names (migrations are scripts, run by Alembic alone)."""
+    files = [file for file in sorted((ROOT / package).rglob("*.py")) if "migrations" not in file.parts]
     return [
         ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for file in files
     ]
