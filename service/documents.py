@@ -41,20 +41,29 @@ def epoch_text(epoch: Epoch) -> str:
         {name: column.tolist() for name in _COLUMNS if (column := getattr(entry, name)) is not None}
         for entry in epoch.paths
     ]
-    return dump({"epoch": epoch.index, "time_s": epoch.time_s, "paths": paths})
+    entry: dict[str, Any] = {"epoch": epoch.index, "time_s": epoch.time_s, "paths": paths}
+    if epoch.sweep:
+        entry["sweep"] = _walls(epoch.sweep)
+    if not epoch.heading_held:
+        entry["heading_held"] = False
+    return dump(entry)
 
 
 def read_epoch(text: str) -> Epoch:
     """The epoch that :func:`epoch_text` wrote."""
     value = json.loads(text)
     paths = tuple(AnchorPaths(**columns) for columns in value["paths"])
-    return Epoch(value["epoch"], value["time_s"], paths)
+    sweep = tuple(GaussianVrp(mean, covariance) for mean, covariance in value.get("sweep", ()))
+    return Epoch(value["epoch"], value["time_s"], paths, sweep, value.get("heading_held", True))
 
 
 def sweep_text(number: int, walls: Iterable[GaussianVrp]) -> str:
     """A sweep as the log keeps it: the walls sensed by it."""
-    rows = [[wall.mean_m.tolist(), wall.covariance_m2.tolist()] for wall in walls]
-    return dump({"sweep": number, "walls": rows})
+    return dump({"sweep": number, "walls": _walls(walls)})
+
+
+def _walls(walls: Iterable[GaussianVrp]) -> list[list[Any]]:
+    return [[wall.mean_m.tolist(), wall.covariance_m2.tolist()] for wall in walls]
 
 
 def read_sweep(text: str) -> tuple[GaussianVrp, ...]:

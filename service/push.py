@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from estimator.dataset import open_dataset
 from estimator.errors import InputError
-from estimator.measurements import Epoch, MeasurementSet, load_measurements
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet, load_measurements
 from service.client import Client
 
 __all__ = ["Pushed", "epoch_entry", "push_file", "session_entry", "sweep_entry", "truth_entry"]
+
+_COLUMNS = tuple(entry.name for entry in fields(AnchorPaths))
 
 
 @dataclass(frozen=True)
@@ -48,28 +50,28 @@ def session_entry(measurements: MeasurementSet, **more: Any) -> dict[str, Any]:
 
 def sweep_entry(measurements: MeasurementSet) -> dict[str, Any]:
     """The request that gives a session the walls sensed at the start."""
-    return {
-        "sweep": 0,
-        "walls": [
-            {"vrp_m": wall.mean_m.tolist(), "covariance_m2": wall.covariance_m2.tolist()}
-            for wall in measurements.walls
-        ],
-    }
+    return {"sweep": 0, "walls": _walls(measurements.walls)}
 
 
-def epoch_entry(anchors: tuple[str, ...], epoch: Epoch, number: int | None = None) -> dict[str, Any]:
+def _walls(walls: Iterable[GaussianVrp]) -> list[dict[str, Any]]:
+    return [{"vrp_m": wall.mean_m.tolist(), "covariance_m2": wall.covariance_m2.tolist()} for wall in walls]
+
+
+def epoch_entry(anchors: tuple[str, ...], epoch: Epoch) -> dict[str, Any]:
     """An epoch as ``POST .../epochs`` takes it; no figure is changed."""
     return {
-        "epoch": epoch.index if number is None else number,
+        "epoch": epoch.index,
         "time_s": epoch.time_s,
         "anchors": {
             name: {
                 column: values.tolist()
-                for column in ("delay_s", "delay_std_s", "gain_db")
+                for column in _COLUMNS
                 if (values := getattr(paths, column)) is not None
             }
             for name, paths in zip(anchors, epoch.paths, strict=True)
         },
+        "sweep": _walls(epoch.sweep),
+        "heading_held": epoch.heading_held,
     }
 
 

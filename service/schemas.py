@@ -150,12 +150,14 @@ class SweepRequest(Request):
 
 
 class Paths(Request):
-    """The paths that one anchor was heard on: times of flight, their spread, channel gains."""
+    """The paths that one anchor was heard on: times of flight, their spread, gains, directions of arrival."""
 
     delay_s: Annotated[list[Positive], Field(max_length=10_000)]
     delay_std_s: Annotated[list[Positive], Field(max_length=10_000)] | None = None
     delay_variance_s2: Annotated[list[Positive], Field(max_length=10_000)] | None = None
     gain_db: Annotated[list[Finite], Field(max_length=10_000)] | None = None
+    azimuth_rad: Annotated[list[Finite], Field(max_length=10_000)] | None = None
+    azimuth_std_rad: Annotated[list[Positive], Field(max_length=10_000)] | None = None
 
     @model_validator(mode="after")
     def _one_spread(self) -> Paths:
@@ -165,12 +167,11 @@ class Paths(Request):
 
     def anchor_paths(self) -> AnchorPaths:
         """The paths in the estimator's terms."""
-        if self.delay_std_s is not None:
-            return AnchorPaths(np.array(self.delay_s), np.array(self.delay_std_s), self._gain())
-        return AnchorPaths(np.array(self.delay_s), np.sqrt(np.array(self.delay_variance_s2)), self._gain())
-
-    def _gain(self) -> Any:
-        return None if self.gain_db is None else np.array(self.gain_db)
+        std = self.delay_std_s
+        spread = np.sqrt(np.array(self.delay_variance_s2)) if std is None else np.array(std)
+        optional = (self.gain_db, self.azimuth_rad, self.azimuth_std_rad)
+        columns = (None if column is None else np.array(column) for column in optional)
+        return AnchorPaths(np.array(self.delay_s), spread, *columns)
 
 
 class SiEpoch(Request):
@@ -179,6 +180,10 @@ class SiEpoch(Request):
     epoch: Number
     time_s: Finite
     anchors: Annotated[dict[Name, Paths], Field(max_length=1000)]
+    sweep: Annotated[list[Wall], Field(max_length=1000)] = Field(
+        default_factory=list, description="Walls that a beam sweep at this epoch saw, relative to the agent."
+    )
+    heading_held: bool = Field(True, description="Whether the agent's axes are still those of the start.")
 
     def estimator_epoch(self, names: list[str]) -> Epoch:
         """The epoch in the estimator's terms.
@@ -200,7 +205,8 @@ class SiEpoch(Request):
                 paths.append(AnchorPaths(np.zeros(0), np.zeros(0)) if given is None else given.anchor_paths())
             except InputError as error:
                 raise InputError(f"epoch {self.epoch}, anchor {name}: {error}") from error
-        return Epoch(self.epoch, self.time_s, tuple(paths))
+        sweep = tuple(wall.gaussian() for wall in self.sweep)
+        return Epoch(self.epoch, self.time_s, tuple(paths), sweep, self.heading_held)
 
 
 class TruthWall(Request):

@@ -1,0 +1,126 @@
+// The page: list of sessions, uploads, the example, and one session's view.
+
+import { Problem, get, key, send, upload } from "./api.js";
+import { SessionView } from "./session.js";
+
+const $ = (id) => document.getElementById(id);
+let view = null;
+let next = null;
+
+function notice(error, calm = false) {
+  $("notice").textContent = error?.message ?? error;
+  $("notice").className = calm ? "calm" : "";
+  $("notice").hidden = !error;
+  if (error instanceof Problem && error.status === 401) askKey();
+}
+
+async function showList(older = false) {
+  const page = await get(`/v1/sessions?limit=100${older && next ? `&before=${next}` : ""}`);
+  next = page.next;
+  const rows = page.sessions.map(row);
+  if (older) $("sessions").append(...rows);
+  else $("sessions").replaceChildren(...rows);
+  $("empty").hidden = $("sessions").childElementCount > 0;
+  $("more").hidden = !next;
+}
+
+function row(session) {
+  const line = document.createElement("tr");
+  const link = document.createElement("a");
+  link.href = `#/s/${session.id}`;
+  link.textContent = session.name || session.id.slice(0, 8);
+  const remove = document.createElement("button");
+  remove.textContent = "Delete";
+  remove.onclick = async () => {
+    if (!confirm(`Delete ${link.textContent} with all its measurements?`)) return;
+    await send("DELETE", `/v1/sessions/${session.id}`).then(() => line.remove(), notice);
+  };
+  const changed = new Date(session.updated_at).toLocaleString();
+  for (const content of [link, `${session.method}, ${session.engine}`, String(session.next_epoch), changed, remove]) {
+    const cell = document.createElement("td");
+    cell.append(content);
+    line.append(cell);
+  }
+  return line;
+}
+
+async function route() {
+  notice(null);
+  const match = location.hash.match(/^#\/s\/([0-9a-f]{32})$/);
+  $("list").hidden = Boolean(match);
+  $("session").hidden = !match;
+  try {
+    if (match) {
+      view ??= new SessionView(notice);
+      await view.open(match[1]);
+    } else {
+      view?.close();
+      await showList();
+    }
+  } catch (error) {
+    notice(error);
+  }
+}
+
+// Sends the example as any client would, a few epochs at a time, so that the map grows.
+async function runExample() {
+  $("example").disabled = true;
+  try {
+    const shipped = await get(`/v1/example?seed=${Math.floor(1e6 * Math.random())}`);
+    const session = await send("POST", "/v1/sessions", shipped.session);
+    const path = `/v1/sessions/${session.id}`;
+    await send("PUT", `${path}/truth`, shipped.truth);
+    await send("POST", `${path}/sweeps`, shipped.sweep);
+    location.hash = `#/s/${session.id}`;
+    for (let i = 0; i < shipped.epochs.length; i += 3) {
+      await send("POST", `${path}/epochs`, { epochs: shipped.epochs.slice(i, i + 3) });
+    }
+  } catch (error) {
+    notice(error);
+  } finally {
+    $("example").disabled = false;
+  }
+}
+
+async function take(file) {
+  if (!file) return;
+  notice(`Taking in ${file.name} ...`, true);
+  try {
+    const session = await upload(`/v1/uploads?name=${encodeURIComponent(file.name.slice(0, 200))}`, file);
+    location.hash = `#/s/${session.id}`;
+  } catch (error) {
+    notice(error);
+  }
+}
+
+function askKey() {
+  $("key-field").value = key.get();
+  $("ask").showModal();
+}
+
+$("ask").addEventListener("close", () => {
+  if ($("ask").returnValue !== "ok") return;
+  key.set($("key-field").value.trim());
+  route();
+});
+$("key").onclick = askKey;
+$("more").onclick = () => showList(true).catch(notice);
+$("example").onclick = runExample;
+$("file").onchange = () => take($("file").files[0]);
+for (const name of ["dragover", "dragleave", "drop"]) {
+  document.addEventListener(name, (event) => {
+    event.preventDefault();
+    $("drop").classList.toggle("over", name === "dragover");
+    if (name === "drop") take(event.dataTransfer.files[0]);
+  });
+}
+$("theme").onclick = () => {
+  const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+  const now = document.documentElement.dataset.theme ?? (dark ? "dark" : "light");
+  document.documentElement.dataset.theme = now === "dark" ? "light" : "dark";
+  localStorage.setItem("hapslam-theme", document.documentElement.dataset.theme);
+  view?.restyle();
+};
+if (localStorage.getItem("hapslam-theme")) document.documentElement.dataset.theme = localStorage.getItem("hapslam-theme");
+addEventListener("hashchange", route);
+route();

@@ -1,0 +1,268 @@
+// The map on a canvas: pan, zoom, walls with their uncertainty, anchors, track, truth.
+
+import { add, across, ellipse, line, scale, seen } from "./geometry.js";
+
+const MARGIN = 0.12;
+
+export class MapView {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.context = canvas.getContext("2d");
+    this.centre = [0, 0];
+    this.zoom = 10; // pixels per metre
+    this.scene = null;
+    this.touched = false; // whether the user has moved the map
+    this.pointers = new Map();
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    canvas.addEventListener("pointerdown", (event) => this.press(event));
+    canvas.addEventListener("pointermove", (event) => this.move(event));
+    for (const name of ["pointerup", "pointercancel"]) {
+      canvas.addEventListener(name, (event) => this.pointers.delete(event.pointerId));
+    }
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.closer(Math.exp(-event.deltaY * 0.0015), [event.offsetX, event.offsetY]);
+    }, { passive: false });
+    canvas.addEventListener("keydown", (event) => this.type(event));
+  }
+
+  show(scene) {
+    this.scene = scene;
+    if (!this.touched) this.fit();
+    else this.draw();
+  }
+
+  resize() {
+    const ratio = window.devicePixelRatio || 1;
+    const { clientWidth, clientHeight } = this.canvas;
+    this.canvas.width = Math.round(clientWidth * ratio);
+    this.canvas.height = Math.round(clientHeight * ratio);
+    if (!this.touched) this.fit();
+    else this.draw();
+  }
+
+  press(event) {
+    this.canvas.setPointerCapture(event.pointerId);
+    this.pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
+  }
+
+  move(event) {
+    const before = this.pointers.get(event.pointerId);
+    if (!before) return;
+    const now = [event.offsetX, event.offsetY];
+    const other = [...this.pointers].find(([id]) => id !== event.pointerId)?.[1];
+    this.pointers.set(event.pointerId, now);
+    if (other) {
+      const spread = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
+      this.closer(spread(now) / Math.max(spread(before), 1), other);
+    } else this.pan(now[0] - before[0], now[1] - before[1]);
+  }
+
+  type(event) {
+    const step = 60;
+    const moves = { ArrowLeft: [step, 0], ArrowRight: [-step, 0], ArrowUp: [0, step], ArrowDown: [0, -step] };
+    if (moves[event.key]) this.pan(...moves[event.key]);
+    else if (event.key === "+" || event.key === "=") this.closer(1.25);
+    else if (event.key === "-") this.closer(0.8);
+    else if (event.key === "0") this.fitAgain();
+    else return;
+    event.preventDefault();
+  }
+
+  pan(dx, dy) {
+    this.touched = true;
+    this.centre = [this.centre[0] - dx / this.zoom, this.centre[1] + dy / this.zoom];
+    this.draw();
+  }
+
+  closer(factor, at = [this.canvas.clientWidth / 2, this.canvas.clientHeight / 2]) {
+    this.touched = true;
+    const fixed = this.toMetres(at);
+    this.zoom = Math.min(Math.max(this.zoom * factor, 0.05), 5000);
+    const moved = this.toMetres(at);
+    this.centre = add(this.centre, [fixed[0] - moved[0], fixed[1] - moved[1]]);
+    this.draw();
+  }
+
+  fitAgain() {
+    this.touched = false;
+    this.fit();
+  }
+
+  fit() {
+    const points = this.scene ? this.extent() : [];
+    if (points.length) {
+      const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
+      const low = [Math.min(...xs), Math.min(...ys)], high = [Math.max(...xs), Math.max(...ys)];
+      const width = Math.max(high[0] - low[0], 2) * (1 + 2 * MARGIN), height = Math.max(high[1] - low[1], 2) * (1 + 2 * MARGIN);
+      this.centre = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
+      this.zoom = Math.min(this.canvas.clientWidth / width, this.canvas.clientHeight / height) || 10;
+    }
+    this.draw();
+  }
+
+  extent() {
+    const { state, track, truth, place } = this.scene;
+    const points = this.sampled(track).map(place);
+    for (const anchor of state?.anchors ?? []) if (anchor.located) points.push(place(anchor.position_m));
+    for (const wall of this.walls()) points.push(...wall.ends);
+    for (const wall of truth?.walls ?? []) points.push(wall.from_m, wall.to_m);
+    return points;
+  }
+
+  sampled(track, most = 400) {
+    const every = Math.max(1, Math.ceil(track.length / most));
+    return track.filter((_, i) => i % every === 0 || i === track.length - 1);
+  }
+
+  walls() {
+    const { state, track, place } = this.scene;
+    if (!state) return [];
+    const anchors = state.anchors.filter((anchor) => anchor.located).map((anchor) => anchor.position_m);
+    const walked = this.sampled(track);
+    return state.walls.map((wall) => {
+      const { foot, tangent, normal } = line(wall.vrp_m);
+      const [low, high] = seen(wall.vrp_m, anchors, walked);
+      const at = (t, off = 0) => place(add(add(foot, scale(tangent, t)), scale(normal, off)));
+      return { ...wall, low, high, at, ends: [at(low), at(high)] };
+    });
+  }
+
+  toPixels(p) {
+    return [
+      (p[0] - this.centre[0]) * this.zoom + this.canvas.clientWidth / 2,
+      (this.centre[1] - p[1]) * this.zoom + this.canvas.clientHeight / 2,
+    ];
+  }
+
+  toMetres(p) {
+    return [
+      (p[0] - this.canvas.clientWidth / 2) / this.zoom + this.centre[0],
+      this.centre[1] - (p[1] - this.canvas.clientHeight / 2) / this.zoom,
+    ];
+  }
+
+  draw() {
+    if (!this.scene || !this.canvas.clientWidth) return;
+    const { context: c } = this, ratio = window.devicePixelRatio || 1;
+    const style = getComputedStyle(document.documentElement);
+    this.colour = (name) => style.getPropertyValue(`--${name}`).trim();
+    c.setTransform(ratio, 0, 0, ratio, 0, 0);
+    c.clearRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
+    c.lineJoin = c.lineCap = "round";
+    this.grid();
+    if (this.scene.showTruth && this.scene.truth) this.truth(this.scene.truth);
+    if (this.scene.state) this.estimates();
+  }
+
+  grid() {
+    const { context: c } = this;
+    const raw = 90 / this.zoom, power = 10 ** Math.floor(Math.log10(raw));
+    const step = [1, 2, 5, 10].map((m) => m * power).find((m) => m >= raw);
+    const [left, top] = this.toMetres([0, 0]);
+    const [right, bottom] = this.toMetres([this.canvas.clientWidth, this.canvas.clientHeight]);
+    c.strokeStyle = this.colour("line");
+    c.fillStyle = this.colour("muted");
+    c.lineWidth = 0.6;
+    c.font = "11px system-ui, sans-serif";
+    c.textAlign = "left";
+    const label = (value) => `${+value.toPrecision(6)} m`;
+    for (let x = Math.ceil(left / step) * step; x < right; x += step) {
+      const [u] = this.toPixels([x, 0]);
+      this.path([[u, 0], [u, this.canvas.clientHeight]]);
+      c.fillText(label(x), u + 3, 12);
+    }
+    for (let y = Math.ceil(bottom / step) * step; y < top; y += step) {
+      const [, v] = this.toPixels([0, y]);
+      this.path([[0, v], [this.canvas.clientWidth, v]]);
+      if (v > 26) c.fillText(label(y), 4, v - 3);
+    }
+  }
+
+  path(pixels) {
+    const { context: c } = this;
+    c.beginPath();
+    pixels.forEach(([u, v], i) => (i ? c.lineTo(u, v) : c.moveTo(u, v)));
+    c.stroke();
+  }
+
+  truth(truth) {
+    const { context: c } = this;
+    c.strokeStyle = c.fillStyle = this.colour("true");
+    c.lineWidth = 6;
+    for (const wall of truth.walls) this.path([this.toPixels(wall.from_m), this.toPixels(wall.to_m)]);
+    c.lineWidth = 3.5;
+    c.globalAlpha = 0.6;
+    this.path(truth.track_m.map((p) => this.toPixels(p)));
+    c.globalAlpha = 1;
+    for (const anchor of truth.anchors_m) this.triangle(this.toPixels(anchor), 11);
+  }
+
+  estimates() {
+    const { context: c, scene } = this, { state, track, place, enlarge } = scene;
+    const wallColour = this.colour("wall"), agentColour = this.colour("agent"), anchorColour = this.colour("anchor");
+    for (const wall of this.walls()) {
+      c.strokeStyle = c.fillStyle = wallColour;
+      c.globalAlpha = 0.35;
+      c.lineWidth = 1;
+      c.setLineDash([5, 6]);
+      const far = 4000 / this.zoom;
+      this.path([this.toPixels(wall.at(-far)), this.toPixels(wall.at(far))]);
+      c.setLineDash([]);
+      c.globalAlpha = 0.18;
+      const ts = Array.from({ length: 25 }, (_, i) => wall.low + ((wall.high - wall.low) * i) / 24);
+      const edge = (t, sign) => this.toPixels(wall.at(t, sign * 2 * enlarge * across(wall.vrp_m, wall.covariance_m2, t)));
+      c.beginPath();
+      [...ts.map((t) => edge(t, 1)), ...ts.reverse().map((t) => edge(t, -1))]
+        .forEach(([u, v], i) => (i ? c.lineTo(u, v) : c.moveTo(u, v)));
+      c.fill();
+      c.globalAlpha = 1;
+      c.lineWidth = 2.4;
+      this.path(wall.ends.map((p) => this.toPixels(p)));
+    }
+    c.strokeStyle = agentColour;
+    c.lineWidth = 1.8;
+    this.path(track.map((p) => this.toPixels(place(p))));
+    for (const anchor of state.anchors) {
+      if (!anchor.located) continue;
+      const at = this.toPixels(place(anchor.position_m));
+      this.ellipse(at, anchor.covariance_m2, anchorColour);
+      c.fillStyle = anchorColour;
+      this.triangle(at, 6.5);
+      c.textAlign = "center";
+      c.font = "12px system-ui, sans-serif";
+      c.fillText(anchor.name, at[0], at[1] - 12);
+    }
+    const cov = state.agent.covariance;
+    const at = this.toPixels(place(state.agent.position_m));
+    this.ellipse(at, [[cov[0][0], cov[0][1]], [cov[1][0], cov[1][1]]], agentColour);
+    c.fillStyle = agentColour;
+    c.strokeStyle = this.colour("ground");
+    c.lineWidth = 2;
+    c.beginPath();
+    c.arc(at[0], at[1], 6, 0, 2 * Math.PI);
+    c.fill();
+    c.stroke();
+  }
+
+  ellipse([u, v], covariance, colour) {
+    const { context: c, scene } = this, { major, minor, angle } = ellipse(covariance);
+    const size = 2 * scene.enlarge * this.zoom;
+    c.fillStyle = colour;
+    c.globalAlpha = 0.25;
+    c.beginPath();
+    c.ellipse(u, v, Math.max(major * size, 1), Math.max(minor * size, 1), -(angle + scene.heading), 0, 2 * Math.PI);
+    c.fill();
+    c.globalAlpha = 1;
+  }
+
+  triangle([u, v], size) {
+    const { context: c } = this;
+    c.beginPath();
+    c.moveTo(u, v - size);
+    c.lineTo(u + 0.87 * size, v + 0.5 * size);
+    c.lineTo(u - 0.87 * size, v + 0.5 * size);
+    c.closePath();
+    c.fill();
+  }
+}
