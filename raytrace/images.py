@@ -96,6 +96,7 @@ def image_paths(
     depth: int | None = None,
     anchors_m: ArrayLike | None = None,
     rim_m: float = _RIM_M,
+    leg_m: float = 0.0,
 ) -> PathSet:
     """All specular paths from every anchor to every position.
 
@@ -112,6 +113,8 @@ def image_paths(
     rim_m : float
         Bounces closer than this to the rim of their surface are left out: there the
         corner decides, not the surface.
+    leg_m : float
+        Paths with a leg shorter than this are left out: both its ends are at one corner.
 
     Returns
     -------
@@ -123,7 +126,7 @@ def image_paths(
     depth = plan.tracing.depth if depth is None else depth
     surfaces = surfaces_of(plan)
     parts = [
-        _paths_of_order(plan, surfaces, positions, anchor, index, order, max(depth, 1), rim_m)
+        _paths_of_order(plan, surfaces, positions, anchor, index, order, max(depth, 1), rim_m, leg_m)
         for index, anchor in enumerate(anchors)
         for order in range(depth + 1)
     ]
@@ -139,6 +142,7 @@ def _paths_of_order(
     order: int,
     bounces: int,
     rim_m: float,
+    leg_m: float,
 ) -> PathList:
     sequences = _sequences(len(surfaces), order)
     block = max(1, _ROWS // max(1, len(sequences)))
@@ -146,6 +150,7 @@ def _paths_of_order(
     for first in range(0, len(positions), block):
         epoch, row, vertices = _unfold(surfaces, positions[first : first + block], anchor, sequences, rim_m)
         clear = ~np.any(_blocked(surfaces, vertices[:, :-1], vertices[:, 1:]), axis=1)
+        clear &= np.all(np.linalg.norm(np.diff(vertices, axis=1), axis=-1) >= leg_m, axis=1)
         parts.append((epoch[clear] + first, sequences[row[clear]], vertices[clear]))
     epoch, hit, vertices = (np.concatenate(columns) for columns in zip(*parts, strict=True))
 

@@ -7,7 +7,8 @@ bounces: it recognises candidates that it has seen by a hash, and hashes collide
 image method says what there should be; positions that miss something are traced
 again, repeated until they fill a batch, which gives every path several other hashes,
 then with more rays. Paths that bounce within a millimetre of a corner are not
-expected: there the tracer's single precision decides.
+expected, for there the tracer's single precision decides; nor are those with a leg of
+less than a centimetre (two bounces at one corner), which the tracer leaves out.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ __all__ = ["TraceReport", "trace_passive", "trace_specular"]
 
 _BATCH = 256
 _RIM_M = 1e-3
+# The tracer's own limit is 10 mm, in single precision.
+_LEG_M = 10.1e-3
 # Rays of the repeated attempts, as multiples of the plan's.
 _RETRIES = (1, 1, 4, 16)
 
@@ -40,8 +43,9 @@ class TraceReport:
     Parameters
     ----------
     expected : int
-        Paths that the image method gives and that do not bounce within a millimetre
-        of a corner, plus those of the latter that were traced.
+        Paths that the image method gives and that do not bounce at a corner (within a
+        millimetre, or twice within a centimetre), plus those of the latter that were
+        traced.
     found : int
         Traced paths among them.
     missing, extra : int
@@ -91,7 +95,7 @@ def trace_specular(
     plan: FloorPlan, radio: RadioScene, sources_m: Array, positions_m: Array, depth: int
 ) -> tuple[PathSet, TraceReport]:
     """Trace the specular paths from sources (k, 3) to positions (n, 3), metres; as :func:`trace_passive`."""
-    exact = image_paths(plan, positions_m, depth, sources_m, rim_m=_RIM_M).flat()
+    exact = image_paths(plan, positions_m, depth, sources_m, rim_m=_RIM_M, leg_m=_LEG_M).flat()
 
     def keys(paths: PathList) -> NDArray[np.int64]:
         return paths.keys(len(sources_m), len(plan.surface_names))
