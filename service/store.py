@@ -188,12 +188,9 @@ class Step:
             sa.insert(estimates), [{"session_id": session_id, **row} for row in folded.estimates]
         )
         kept = {"epoch": entries[-1][0], "state": folded.snapshot, "sha256": digest(folded.snapshot)}
-        if row.next_epoch == 0:
+        replaced = sa.update(snapshots).where(snapshots.c.session_id == session_id)
+        if connection.execute(replaced.values(**kept)).rowcount == 0:
             connection.execute(sa.insert(snapshots).values(session_id=session_id, **kept))
-        else:
-            connection.execute(
-                sa.update(snapshots).where(snapshots.c.session_id == session_id).values(**kept)
-            )
 
 
 class Store:
