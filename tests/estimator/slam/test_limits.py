@@ -13,7 +13,6 @@ from estimator.sensing.ranges import EchoLaw, variance_published
 from estimator.slam.bounds import expected_distance, limit
 from estimator.slam.scenario import Scenario, Sensing
 from estimator.waveform import OfdmGrid
-from raytrace.floorplan import load_floorplan
 
 SENSED = {0: 0.08, 1: 0.7, 2: 4.0, 3: 0.2}
 PAPER = {"sensed": SENSED, "detection_probability": 0.95}
@@ -22,6 +21,8 @@ PAPER = {"sensed": SENSED, "detection_probability": 0.95}
 @pytest.fixture(scope="module")
 def scenario(room):
     """The paper's five reflecting walls, anchors P0 and the smoothed track."""
+    from raytrace.floorplan import load_floorplan  # plain pydantic, no ray tracer
+
     track = load_floorplan("l-room").track()[:, :2]
     return Scenario(room.walls[:5, 0], room.walls[:5, 1], room.anchors, track)
 

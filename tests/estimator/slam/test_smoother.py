@@ -19,7 +19,6 @@ from estimator.slam.layout import Layout
 from estimator.slam.linearise import linearise
 from estimator.slam.scenario import Scenario, Sensing
 from estimator.slam.smoother import smooth, smooth_fixed_lag
-from raytrace.floorplan import load_floorplan
 
 SENSED = {0: 0.08, 1: 0.7, 2: 4.0, 3: 0.2}
 STD = 0.1
@@ -29,6 +28,8 @@ MODEL = GaussianConfig(range_std_m=STD, height2_mean_m2=0.0, height2_std_m2=0.0)
 @pytest.fixture(scope="module")
 def scenario(room):
     """The paper's five reflecting walls, anchors P0 and the smoothed track."""
+    from raytrace.floorplan import load_floorplan  # plain pydantic, no ray tracer
+
     track = load_floorplan("l-room").track()[:, :2]
     return Scenario(room.walls[:5, 0], room.walls[:5, 1], room.anchors, track)
 
