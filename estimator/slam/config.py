@@ -71,7 +71,8 @@ class GaussianConfig:
     pair_std_m : float
         Double bounces predicted better than this inform the filter, metres.
     pair_gate_std_m : float
-        Double bounces predicted worse than this are left out of the association, metres.
+        Double bounces predicted worse than this are left out of the association: while the
+        walls are uncertain they would take the paths of others, metres.
     prune_nats : float
         Hypotheses this far below the best are dropped.
     max_hypotheses : int
@@ -106,7 +107,7 @@ class GaussianConfig:
     pending_epochs: int = 40
     pair_radius_m: float = 0.6
     pair_std_m: float = 0.5
-    pair_gate_std_m: float = 1.5
+    pair_gate_std_m: float = 0.4
     prune_nats: float = 12.0
     max_hypotheses: int = 100
 
