@@ -136,7 +136,7 @@ class ParticleEngine:
                     f"epoch {epoch.index} at {epoch.time_s} s: expected one later than epoch {state.epoch} "
                     f"at {state.time_s} s"
                 )
-            state = predict(state, epoch.time_s - state.time_s, self.config, rng)
+            state = predict(state, epoch.time_s - state.time_s, self.method, self.config, rng)
         state = replace(state, epoch=epoch.index, time_s=epoch.time_s)
         if not self.method.paths:
             return state

@@ -80,7 +80,8 @@ class ParticleConfig:
     worse_ratio : float
         A belief whose variance an anchor's paths would raise by more than this ratio is
         not updated, (48). At 1, as published, the rule ratchets: of beliefs that only
-        fluctuate it keeps those that came out too narrow.
+        fluctuate it keeps those that came out too narrow; by default
+        it only refuses a belief that falls apart.
     start_visibility : float
         Probability that a feature can be heard by an anchor that has not told; 1 (with
         ``vanish_probability`` 0) is the constant detection probability of the paper.
@@ -112,7 +113,7 @@ class ParticleConfig:
     prune_probability: float = 1e-4
     detect_threshold: float = 0.5
     similarity_m: float = 1.0
-    worse_ratio: float = 2.0
+    worse_ratio: float = 100.0
     start_visibility: float = 0.5
     appear_probability: float = 0.01
     vanish_probability: float = 0.01

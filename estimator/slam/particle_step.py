@@ -20,7 +20,7 @@ __all__ = ["hear_anchor", "predict"]
 
 
 def predict(
-    state: ParticleState, step_s: float, config: ParticleConfig, rng: np.random.Generator
+    state: ParticleState, step_s: float, method: Method, config: ParticleConfig, rng: np.random.Generator
 ) -> ParticleState:
     """Beliefs one step later: the agent by (38), (39), the features by (40), (41).
 
@@ -30,6 +30,8 @@ def predict(
         State after the epoch before.
     step_s : float
         Time since, seconds.
+    method : Method
+        Whether anchors are known: the others are features too, and as such move a little.
     config : ParticleConfig
         Models.
     rng : Generator
@@ -41,15 +43,15 @@ def predict(
     features = state.features.copy()
     # one table of driving noise, which every feature reads from a place of its own
     driving = gaussian_cloud(np.zeros(2), config.feature_std_m**2 * np.eye(2), state.particles, rng)
-    for cloud, shift in zip(
-        features.points_m, rng.integers(state.particles, size=len(features)), strict=True
-    ):
+    anchors = state.anchors_m.copy()
+    static = [*features.points_m, *(() if method.anchors == "known" else anchors)]
+    for cloud, shift in zip(static, rng.integers(state.particles, size=len(static)), strict=True):
         cloud += np.roll(driving, shift, axis=-1)
     features.existence[...] *= config.survival_probability
     stay, appear = 1.0 - config.vanish_probability, config.appear_probability
     features.visibility[...] = stay * features.visibility + appear * (1.0 - features.visibility)
     sight = stay * state.sight + appear * (1.0 - state.sight)
-    return replace(state, agent=agent, features=features, sight=sight)
+    return replace(state, agent=agent, anchors_m=anchors, features=features, sight=sight)
 
 
 def hear_anchor(
