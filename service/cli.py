@@ -17,7 +17,7 @@ import sys
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 from rich.console import Console
@@ -37,6 +37,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+# The base of all usage mistakes has no public name.
+_UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of all randomness.")]
@@ -213,8 +215,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     arguments : sequence of str, optional
         Arguments; by default those of the process.
     """
+    given = None if arguments is None else list(arguments)
     try:
-        app(args=None if arguments is None else list(arguments), prog_name="hapslam")
+        sys.exit(app(args=given, prog_name="hapslam", standalone_mode=False) or 0)
+    except _UsageError as error:
+        path = error.ctx.command_path if error.ctx else "hapslam"
+        text = " ".join(error.format_message().split())
+        if not text:  # a command that needs others has shown its help
+            sys.exit(2)
+        sys.stderr.write(f"{path}: error: {text} ({path} --help tells more)\n")
+        sys.exit(2)
+    except typer.Abort:
+        sys.stderr.write("hapslam: interrupted\n")
+        sys.exit(130)
     except (HapslamError, OSError) as error:
         text = "; ".join([str(error), *getattr(error, "__notes__", [])])
         sys.stderr.write(f"hapslam: error: {' '.join(text.split())}\n")
