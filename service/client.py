@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
@@ -65,12 +66,9 @@ class Client:
         timeout_s: float = 120.0,
     ) -> None:
         headers = {} if key is None else {"Authorization": f"Bearer {key}"}
-        try:
-            self._http = httpx2.Client(base_url=url, headers=headers, timeout=timeout_s)
-        except httpx2.InvalidURL as error:
-            raise ServiceUnavailableError(
-                f"url: expected an address like http://127.0.0.1:8600: {error}"
-            ) from error
+        if not re.match(r"https?://[\w.\-\[]", url):
+            raise ServiceUnavailableError(f"url: expected an address like http://127.0.0.1:8600, got {url!r}")
+        self._http = httpx2.Client(base_url=url, headers=headers, timeout=timeout_s)
         self._url, self._attempts, self._patience_s = url, attempts, patience_s
 
     def __enter__(self) -> Client:
@@ -84,6 +82,16 @@ class Client:
     def create_session(self, request: Mapping[str, Any]) -> str:
         """Make a session; its id. ``request`` as ``POST /v1/sessions`` takes it."""
         return str(self._call("POST", "/v1/sessions", json=dict(request))["id"])
+
+    def sessions(self) -> Iterator[dict[str, Any]]:
+        """All sessions of the key, the newest first."""
+        before: str | None = None
+        while True:
+            page = self._call("GET", "/v1/sessions", params=_given(before=before, limit=100))
+            yield from page["sessions"]
+            before = page["next"]
+            if before is None:
+                return
 
     def session(self, session: str) -> dict[str, Any]:
         """A session: its configuration, and what it expects next."""

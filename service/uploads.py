@@ -63,15 +63,14 @@ class ChannelsTask:
     def run(self, cache: StateCache) -> tuple[Epoch, ...]:
         """Read the file and estimate; raises FileFormatError or InputError."""
         del cache
-        data = _arrays(self.body, self.max_unpacked_bytes)
-        real, imaginary = (np.asarray(data[name], dtype=np.float64) for name in ("cfr_re", "cfr_im"))
+        data = _columns(_arrays(self.body, self.max_unpacked_bytes))
+        real, imaginary = data["cfr_re"], data["cfr_im"]
         if real.shape != imaginary.shape:
             raise FileFormatError(f"cfr_im: expected shape {real.shape} as cfr_re, got {imaginary.shape}")
         cfr = real + 1j * imaginary
-        index = np.asarray(data["epoch"], dtype=np.int64)
-        time_s = np.asarray(data["time_s"], dtype=np.float64)
-        names = [str(name) for name in np.asarray(data["anchor"]).ravel()]
-        grid = self._grid(np.asarray(data["tone_offset_hz"], dtype=np.float64))
+        index, time_s = data["epoch"], data["time_s"]
+        names = [str(name) for name in data["anchor"].ravel()]
+        grid = self._grid(data["tone_offset_hz"])
         wanted = (len(index), len(self.anchors), grid.tones)
         if cfr.ndim != 4 or cfr.shape[2] < 1 or (cfr.shape[0], cfr.shape[1], cfr.shape[3]) != wanted:
             raise FileFormatError(
@@ -173,13 +172,22 @@ def _arrays(body: bytes, limit: int) -> dict[str, Any]:
                     return {name: data[name].values for name in _CHANNELS}
     except KeyError as error:
         raise FileFormatError(f"file: expected {', '.join(_CHANNELS)}, {error} is missing") from error
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
-        if isinstance(error, InputError):
-            raise
+    except (InputError, TooLargeError):
+        raise
+    except Exception as error:  # whatever the libraries make of rubbish
         raise FileFormatError(
             f"file: expected arrays without objects, could not read them: {error}"
         ) from error
     raise FileFormatError("file: expected netCDF-4 or npz, got something else")
+
+
+def _columns(arrays: dict[str, Any]) -> dict[str, NDArray[Any]]:
+    """The arrays with the types that they must have."""
+    kinds = {"epoch": np.int64, "anchor": np.str_}
+    try:
+        return {name: np.asarray(value, dtype=kinds.get(name, np.float64)) for name, value in arrays.items()}
+    except (ValueError, TypeError, OverflowError) as error:
+        raise FileFormatError(f"file: expected arrays of numbers, and names of anchors: {error}") from error
 
 
 def _check_archive(archive: zipfile.ZipFile, limit: int) -> None:
@@ -208,7 +216,9 @@ def _dataset(body: bytes, folder: Path, limit: int) -> Unpacked:
             for name, entry in members.items():
                 if name == MANIFEST or (name.endswith(".nc") and name.split("-")[0].split(".")[0] in KINDS):
                     (folder / name).write_bytes(archive.read(entry))
-    except (zipfile.BadZipFile, OSError, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
+    except TooLargeError:
+        raise
+    except Exception as error:  # whatever the libraries make of rubbish
         raise FileFormatError(f"file: expected a zipped dataset, could not unpack it: {error}") from error
     for file in folder.glob("*.nc"):
         _check_netcdf(file, limit)
