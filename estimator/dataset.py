@@ -10,7 +10,8 @@
 Every file is written under a temporary name, synced and renamed, and shards are
 listed in the manifest with their size and SHA-256; a manifest with
 ``complete = false`` belongs to a dataset whose generation did not finish. Files
-hold no time stamps and no absolute paths, so equal inputs give equal bytes.
+hold no time stamps and no absolute paths, so equal inputs give equal bytes. A long
+track is cut into shards of successive epochs, so nothing needs more memory than one.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,10 +33,13 @@ __all__ = [
     "DatasetWriter",
     "open_dataset",
     "publish",
+    "read_manifest",
     "read_netcdf",
+    "remove_temporaries",
     "require_absent",
     "temporary_name",
     "write_netcdf",
+    "write_shard",
     "write_text",
 ]
 
@@ -75,6 +79,12 @@ def temporary_name(path: Path) -> Path:
     return path.with_name(f".{path.name}.{os.getpid()}.tmp")
 
 
+def remove_temporaries(folder: Path) -> None:
+    """Remove what killed writers left in a folder under temporary names."""
+    for left in folder.glob(".*.tmp"):
+        left.unlink(missing_ok=True)
+
+
 def write_text(text: str, path: Path) -> None:
     """Write a small text file atomically, replacing what was there."""
     temporary = temporary_name(path)
@@ -85,18 +95,19 @@ def write_text(text: str, path: Path) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def write_netcdf(data: xr.Dataset, path: Path) -> None:
-    """Write ``data`` to a new netCDF-4 file atomically.
+def write_netcdf(data: xr.Dataset, path: Path, replace: bool = False) -> None:
+    """Write ``data`` to a netCDF-4 file atomically; to a new one unless it may ``replace`` one.
 
     Raises
     ------
     OutputExistsError
-        If ``path`` exists.
+        If ``path`` exists and may not be replaced.
     FileFormatError
-        If its folder does not.
+        If its folder does not exist.
     """
     path = Path(path)
-    require_absent(path)
+    if not replace:
+        require_absent(path)
     if not path.parent.is_dir():
         raise FileFormatError(f"{path}: expected an existing folder {path.parent}, there is none")
     temporary = temporary_name(path)
@@ -139,6 +150,36 @@ def _digest(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def write_shard(
+    folder: Path, kind: str, name: str, data: xr.Dataset, replace: bool = False, **facts: Any
+) -> dict[str, Any]:
+    """Write a shard of one of the ``KINDS`` under the file name ``name``.
+
+    Parameters
+    ----------
+    folder : Path
+        The dataset's directory.
+    kind, name : str
+        Which kind of shard, and its file name.
+    data : xarray.Dataset
+        What it holds.
+    replace : bool
+        Whether it may take the place of a file that no manifest lists.
+    **facts
+        More to say of it in the manifest (JSON types); ``epochs = [first, stop]`` sets its place there.
+
+    Returns
+    -------
+    dict
+        Its entry for the manifest's list.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"kind: expected one of {KINDS}, got {kind!r}")
+    file = folder / name
+    write_netcdf(data.assign_attrs(format=f"{FORMAT}/{kind}", version=VERSION), file, replace)
+    return {"file": name, "kind": kind, "bytes": file.stat().st_size, "sha256": _digest(file), **facts}
+
+
 class DatasetWriter:
     """Writes a dataset shard by shard; the manifest follows each shard.
 
@@ -149,40 +190,50 @@ class DatasetWriter:
     manifest : mapping
         What the manifest says besides ``format``, ``version``, ``complete`` and
         ``shards`` (JSON types).
+    shards : sequence of mapping
+        Entries of shards that the directory, which then exists, holds already: their
+        writing was broken off, or they are to be added to.
 
     Raises
     ------
     OutputExistsError
-        If ``path`` exists.
+        If ``path`` exists and no shards are named.
     """
 
-    def __init__(self, path: Path, manifest: Mapping[str, Any]) -> None:
+    def __init__(
+        self, path: Path, manifest: Mapping[str, Any], shards: Sequence[Mapping[str, Any]] | None = None
+    ) -> None:
         self.path = Path(path)
-        require_absent(self.path)
-        if not self.path.parent.is_dir():
-            raise FileFormatError(
-                f"{self.path}: expected an existing folder {self.path.parent}, there is none"
-            )
-        self.path.mkdir()
+        if shards is None:
+            require_absent(self.path)
+            if not self.path.parent.is_dir():
+                raise FileFormatError(
+                    f"{self.path}: expected an existing folder {self.path.parent}, there is none"
+                )
+            self.path.mkdir()
         self._manifest: dict[str, Any] = {
             "format": FORMAT,
             "version": VERSION,
             "complete": False,
             **manifest,
-            "shards": [],
+            "shards": [dict(shard) for shard in shards or ()],
         }
         self._save()
 
+    @property
+    def shards(self) -> tuple[dict[str, Any], ...]:
+        """Entries of the shards so far, by their epochs, the truth last."""
+        return tuple(self._manifest["shards"])
+
     def write(self, kind: str, name: str, data: xr.Dataset) -> None:
         """Add a shard of one of the ``KINDS`` under the file name ``name``."""
-        if kind not in KINDS:
-            raise ValueError(f"kind: expected one of {KINDS}, got {kind!r}")
-        file = self.path / name
-        stamped = data.assign_attrs(format=f"{FORMAT}/{kind}", version=VERSION)
-        write_netcdf(stamped, file)
-        self._manifest["shards"].append(
-            {"file": name, "kind": kind, "bytes": file.stat().st_size, "sha256": _digest(file)}
-        )
+        self.add(write_shard(self.path, kind, name, data))
+
+    def add(self, *entries: Mapping[str, Any]) -> None:
+        """List shards that :func:`write_shard` wrote into the directory."""
+        shards = self._manifest["shards"]
+        shards += [dict(entry) for entry in entries]
+        shards.sort(key=lambda entry: (entry["kind"] == "truth", entry.get("epochs", [0])[0]))
         self._save()
 
     def finish(self, **more: Any) -> None:
@@ -221,16 +272,7 @@ class Dataset:
         for entry in self.manifest["shards"]:
             if entry["kind"] != kind:
                 continue
-            file = self.path / entry["file"]
-            if not file.is_file():
-                raise FileFormatError(
-                    f"{file}: expected a shard of {entry['bytes']} bytes, found nothing there"
-                )
-            size = file.stat().st_size
-            if size != entry["bytes"]:
-                raise FileFormatError(
-                    f"{file}: expected {entry['bytes']} bytes, got {size}; the shard is truncated or changed"
-                )
+            file = self.file(entry)
             digest = _digest(file)
             if digest != entry["sha256"]:
                 raise FileFormatError(
@@ -238,6 +280,24 @@ class Dataset:
                     "the shard was changed"
                 )
             yield read_netcdf(file, f"{FORMAT}/{kind}", VERSION)
+
+    def file(self, entry: Mapping[str, Any]) -> Path:
+        """Path of the shard that an entry of the manifest lists; its hash is left unchecked.
+
+        Raises
+        ------
+        FileFormatError
+            If the shard is missing or its size differs from the manifest's.
+        """
+        file = self.path / str(entry["file"])
+        if not file.is_file():
+            raise FileFormatError(f"{file}: expected a shard of {entry['bytes']} bytes, found nothing there")
+        size = file.stat().st_size
+        if size != entry["bytes"]:
+            raise FileFormatError(
+                f"{file}: expected {entry['bytes']} bytes, got {size}; the shard is truncated or changed"
+            )
+        return file
 
     def truth(self) -> xr.Dataset:
         """The truth file (floor plan, anchors, track); only evaluation and plots may call this.
@@ -263,14 +323,14 @@ def _check_shards(file: Path, shards: object) -> None:
             raise FileFormatError(f"{file}: expected plain shard file names, got {shard['file']!r}")
 
 
-def open_dataset(path: Path) -> Dataset:
-    """Open a dataset directory.
+def read_manifest(path: Path, complete: bool = False) -> dict[str, Any]:
+    """Read the manifest of a dataset directory.
 
     Raises
     ------
     FileFormatError
         If there is no manifest, or it is damaged, of another format or version, or
-        the dataset is incomplete.
+        the dataset has to be ``complete`` and is not.
     """
     path = Path(path)
     file = path / MANIFEST
@@ -287,7 +347,22 @@ def open_dataset(path: Path) -> Dataset:
         raise FileFormatError(
             f"{file}: expected format {FORMAT!r} version {VERSION}, got {found[0]!r} version {found[1]}"
         )
-    if manifest.get("complete") is not True:
-        raise FileFormatError(f"{path}: expected a complete dataset, its generation was interrupted")
+    if complete and manifest.get("complete") is not True:
+        raise FileFormatError(
+            f"{path}: expected a complete dataset, its generation was interrupted "
+            "(hapslam trace --resume goes on with it)"
+        )
     _check_shards(file, manifest.get("shards"))
-    return Dataset(path, manifest)
+    return manifest
+
+
+def open_dataset(path: Path) -> Dataset:
+    """Open a dataset directory.
+
+    Raises
+    ------
+    FileFormatError
+        If there is no manifest, or it is damaged, of another format or version, or
+        the dataset is incomplete.
+    """
+    return Dataset(Path(path), read_manifest(path, complete=True))

@@ -26,6 +26,8 @@ __all__ = [
     "SPEED_OF_LIGHT_M_S",
     "OfdmGrid",
     "free_space_loss_db",
+    "frequency_response",
+    "impulse_response",
 ]
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
@@ -116,6 +118,10 @@ class OfdmGrid:
         index = np.arange(self.tones, dtype=np.float64) - 0.5 * (self.tones - 1)
         return index * self.tone_spacing_hz
 
+    def taps_s(self) -> NDArray[np.float64]:
+        """Delays of the taps of an impulse response, one resolution apart, shape (tones,), seconds."""
+        return np.arange(self.tones, dtype=np.float64) * self.resolution_s
+
     def noise_variance(self, power_dbm: float, noise_figure_db: float) -> float:
         """Variance of the noise on one tone of a CFR estimate (dimensionless).
 
@@ -137,3 +143,34 @@ class OfdmGrid:
             * 10.0 ** (noise_figure_db / 10.0)
         )
         return float(noise_w / (power_per_tone_w * self.symbols))
+
+
+def impulse_response(cfr: NDArray[np.complex128], grid: OfdmGrid) -> NDArray[np.complex128]:
+    """Channel impulse response of a CFR, by the inverse DFT over the tones.
+
+        h_n = 1/N sum_k H(f_k) exp(+j 2 pi f_k t_n),   t_n = n / bandwidth
+
+    A path between taps leaks into its neighbours (no window is applied), so that
+    :func:`frequency_response` restores the CFR; the noise on a tap has the variance
+    of that on a tone over the number of tones.
+
+    Parameters
+    ----------
+    cfr : ndarray of complex128, shape (..., tones)
+        Channel gains on the grid's tones (dimensionless).
+    grid : OfdmGrid
+        The tones.
+
+    Returns
+    -------
+    ndarray of complex128, shape (..., tones)
+        Taps at :meth:`OfdmGrid.taps_s`.
+    """
+    turn = np.exp(2j * np.pi * grid.offsets_hz()[0] * grid.taps_s())
+    return np.asarray(turn * np.fft.ifft(cfr, axis=-1))
+
+
+def frequency_response(cir: NDArray[np.complex128], grid: OfdmGrid) -> NDArray[np.complex128]:
+    """CFR of an impulse response: the inverse of :func:`impulse_response`, same shapes."""
+    turn = np.exp(-2j * np.pi * grid.offsets_hz()[0] * grid.taps_s())
+    return np.asarray(np.fft.fft(turn * cir, axis=-1))
