@@ -99,6 +99,11 @@ class KeyRing:
             self._any = time.monotonic(), known
             return known
 
+    def none_known(self) -> bool:
+        """Whether :meth:`exist` would say no without asking the database."""
+        when, known = self._any
+        return not known and time.monotonic() - when < 0.9 * _REMEMBER_S
+
     def admit(self, authorization: str | None, client: str | None, host: str | None) -> Caller:
         """Who the caller is.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -19,6 +20,8 @@ from service.telemetry import Metrics
 from service.workers import StepPool
 
 __all__ = ["Bell", "CallerDep", "Context", "ContextDep", "SessionAccess", "SessionDep", "caller", "context"]
+
+_REMEMBERED = 1000  # sessions whose anchors are kept in mind
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -54,6 +57,14 @@ class Bell:
                 del self._waiting[session_id]
 
 
+@dataclass(frozen=True)
+class SessionAccess:
+    """A session that a request names, and the key it must belong to."""
+
+    id: str
+    key_id: str | None
+
+
 @dataclass
 class Context:
     """One running application.
@@ -80,6 +91,17 @@ class Context:
     threads: anyio.CapacityLimiter = field(init=False)
     bell: Bell = field(default_factory=Bell)
     draining: bool = False
+    _anchors: dict[SessionAccess, list[str]] = field(default_factory=dict)
+
+    def anchors(self, session: SessionAccess) -> list[str]:
+        """A session's anchors, which never change; raises NotFoundError."""
+        known = self._anchors.get(session)
+        if known is None:
+            row = self.store.session(session.id, session.key_id)
+            known = self._anchors[session] = json.loads(row.config)["anchors"]
+            if len(self._anchors) > _REMEMBERED:
+                self._anchors.pop(next(iter(self._anchors)), None)
+        return known
 
     async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Run a blocking function in a thread."""
@@ -104,18 +126,12 @@ async def caller(request: Request, here: ContextDep) -> Caller:
     """Who sent the request; see :meth:`service.auth.KeyRing.admit`."""
     client = request.client.host if request.client else None
     authorization = request.headers.get("authorization")
+    if here.keys.none_known():
+        return here.keys.admit(authorization, client, request.url.hostname)
     return await here.run(here.keys.admit, authorization, client, request.url.hostname)
 
 
 CallerDep = Annotated[Caller, Depends(caller)]
-
-
-@dataclass(frozen=True)
-class SessionAccess:
-    """A session that a request names, and the key it must belong to."""
-
-    id: str
-    key_id: str | None
 
 
 async def _access(session_id: str, who: CallerDep) -> SessionAccess:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -68,6 +69,7 @@ def serve(settings: Settings) -> None:
     """
     check_binding(settings)
     configure_logs()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for the workers: as many threads as processes
     app = create_app(settings)
     config = uvicorn.Config(
         app,

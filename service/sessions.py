@@ -47,11 +47,14 @@ class Taken:
         Numbers of the request's first and last entry.
     new : int
         How many of them were new.
+    state : str or None
+        The estimate after the last, JSON, if it was computed just now.
     """
 
     first: int
     last: int
     new: int
+    state: str | None = None
 
 
 def new_session_id() -> str:
@@ -91,6 +94,7 @@ def take_epochs(
         try:
             with store.stepping(session_id, key_id) as step:
                 new = _new_entries(step, "epoch", entries, step.row.next_epoch)
+                state = None
                 if new:
                     known_time = step.row.time_s
                     for epoch in epochs[-len(new) :]:
@@ -98,7 +102,8 @@ def take_epochs(
                         known_time = epoch.time_s
                     folded = _advance(step, pool, tuple(body for _, body in new))
                     step.commit("epoch", new, folded, epochs[-1].time_s)
-                return Taken(first, last, len(new))
+                    state = folded.estimates[-1]["document"]
+                return Taken(first, last, len(new), state)
         except RevisionError:
             continue
     raise BusyError("expected a free moment of the session, other requests keep changing it")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 
 from fastapi import APIRouter, Response
@@ -60,8 +59,7 @@ def answer(here: Context, session: SessionAccess, taken: Taken, state: str) -> R
 
 
 def _take(here: Context, session: SessionAccess, request: EpochsRequest) -> tuple[Taken, str]:
-    row = here.store.session(session.id, session.key_id)
-    names = json.loads(row.config)["anchors"]
+    names = here.anchors(session)
     epochs = [entry.estimator_epoch(names) for entry in request.epochs]
     return take(here, session, epochs)
 
@@ -70,6 +68,8 @@ def take(here: Context, session: SessionAccess, epochs: Sequence[Epoch]) -> tupl
     """Take in epochs; what was taken, and the state after the last of them."""
     _check_sizes(here.settings, epochs)
     taken = take_epochs(here.store, here.pool, session.id, session.key_id, epochs)
+    if taken.state is not None:
+        return taken, taken.state
     with here.store.reading() as connection:
         return taken, here.store.estimate(session.id, taken.last, connection) or "null"
 
