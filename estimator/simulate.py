@@ -20,7 +20,14 @@ from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementS
 from estimator.specular import SpecularPaths, specular_paths
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 
-__all__ = ["SimulationConfig", "measure_scene", "simulate_epochs", "simulate_sweep", "simulate_walls"]
+__all__ = [
+    "SimulationConfig",
+    "measure_scene",
+    "simulate_epochs",
+    "simulate_sweep",
+    "simulate_walls",
+    "walls_in_view",
+]
 
 
 Array = NDArray[np.float64]
@@ -153,6 +160,33 @@ def _hear(lengths: Array, azimuths: Array, config: SimulationConfig, rng: np.ran
     )
 
 
+def walls_in_view(start_m: ArrayLike, end_m: ArrayLike, position_m: ArrayLike) -> list[int]:
+    """Walls that a sweep from a place sees: the foot of the perpendicular is on them and in sight.
+
+    Parameters
+    ----------
+    start_m, end_m : array_like, shape (L, 2)
+        Wall end points, metres.
+    position_m : array_like, shape (2,)
+        The agent, metres.
+
+    Returns
+    -------
+    list of int
+        Their indices, ascending.
+    """
+    start, end = np.asarray(start_m, dtype=np.float64), np.asarray(end_m, dtype=np.float64)
+    position = np.asarray(position_m, dtype=np.float64)
+    seen = []
+    for wall, image in enumerate(mirror_in_wall(position, start, end)):
+        others = np.arange(len(start)) != wall
+        foot = 0.5 * (position + image)
+        on_wall = segments_cross(position, image, start[wall], end[wall], margin=0.0)
+        if on_wall and not np.any(segments_cross(position, foot, start[others], end[others])):
+            seen.append(wall)
+    return seen
+
+
 def simulate_sweep(
     start_m: ArrayLike, end_m: ArrayLike, position_m: ArrayLike, variance: float, rng: np.random.Generator
 ) -> tuple[GaussianVrp, ...]:
@@ -174,17 +208,11 @@ def simulate_sweep(
     tuple of GaussianVrp
         The agent's mirror images relative to the agent, in the plan's axes.
     """
-    start, end = np.asarray(start_m, dtype=np.float64), np.asarray(end_m, dtype=np.float64)
     position = np.asarray(position_m, dtype=np.float64)
-    images = mirror_in_wall(position, start, end)
+    images = mirror_in_wall(position, start_m, end_m)
     flashes = []
-    for wall, image in enumerate(images):
-        others = [i for i in range(len(start)) if i != wall]
-        foot = 0.5 * (position + image)
-        if not segments_cross(position, image, start[wall], end[wall], margin=0.0):
-            continue
-        if np.any(segments_cross(position, foot, start[others], end[others])):
-            continue
+    for wall in walls_in_view(start_m, end_m, position):
+        image, foot = images[wall], 0.5 * (position + images[wall])
         spread = variance * float(np.sum((foot - position) ** 2))
         noise = rng.normal(scale=np.sqrt(spread), size=2)
         flashes.append(GaussianVrp(image - position + noise, spread * np.eye(2)))
