@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -27,6 +26,18 @@ from estimator.errors import InputError
 from estimator.evaluation import Truth, read_truth
 from estimator.geometry import rotation_matrix, wall_normal
 from estimator.metrics import best_rotation, derotated, distances
+from estimator.plot_style import (
+    AGENT,
+    AGENT_TRUE,
+    ANCHOR,
+    ANCHOR_TRUE,
+    GRID,
+    INK,
+    MUTED,
+    STYLE,
+    TRUE,
+    WALL,
+)
 from estimator.result import SlamResult
 from estimator.walllines import line_points, line_std, seen_span
 
@@ -36,23 +47,7 @@ Array = NDArray[np.float64]
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
-_INK, _MUTED, _GRID, _TRUE = "#1d1d1b", "#6b6a66", "#e9e8e4", "#bdbbb4"
-_AGENT, _ANCHOR, _WALL = "#2466c4", "#c8501e", "#1f8a66"
-_AGENT_TRUE, _ANCHOR_TRUE = "#bcd0f2", "#f2c9b5"
 _SIGMAS = 2.0
-_STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.edgecolor": _TRUE,
-    "axes.labelcolor": _MUTED,
-    "axes.titlecolor": _INK,
-    "text.color": _INK,
-    "xtick.color": _MUTED,
-    "ytick.color": _MUTED,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "svg.hashsalt": "hapslam",
-}
 
 
 def draw_map(result: SlamResult, truth: xr.Dataset | None = None, title: str | None = None) -> Figure:
@@ -80,7 +75,7 @@ def draw_map(result: SlamResult, truth: xr.Dataset | None = None, title: str | N
     if len(result.epoch) == 0:
         raise InputError("result: expected at least one epoch, got none")
     known = None if truth is None else read_truth(truth, result)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         picture = _Map(result, known)
         width, height = np.ptp(picture.window, axis=1)
         tall = float(np.clip(7.4 * height / width, 2.5, 9.0))  # inches of the map, whose width is 7.4
@@ -119,7 +114,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     dated = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     temporary = temporary_name(path)
     try:
-        with mpl.rc_context(_STYLE):
+        with mpl.rc_context(STYLE):
             figure.savefig(temporary, format=suffix[1:], metadata=dated[suffix])
         publish(temporary, path)
     finally:
@@ -144,7 +139,7 @@ class _Map:
         (left, right), (bottom, top) = self.window
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", axisbelow=True)
         axes.set(xlabel="x, m", ylabel="y, m")
-        axes.grid(color=_GRID, linewidth=0.8)
+        axes.grid(color=GRID, linewidth=0.8)
         axes.tick_params(length=0)
         self._draw_truth(axes)
         self._draw_walls(axes)
@@ -166,10 +161,10 @@ class _Map:
         segments = np.concatenate([surface.segments_m for surface in self.truth.surfaces])
         for row, segment in enumerate(self._place(segments)):
             label = "wall, true" if row == 0 else None
-            axes.plot(*segment.T, color=_TRUE, linewidth=7.0, solid_capstyle="round", label=label, zorder=1)
+            axes.plot(*segment.T, color=TRUE, linewidth=7.0, solid_capstyle="round", label=label, zorder=1)
         axes.plot(
             *self._place(self.truth.track_m).T,
-            color=_AGENT_TRUE,
+            color=AGENT_TRUE,
             linewidth=5.0,
             label="track, true",
             zorder=1,
@@ -180,7 +175,7 @@ class _Map:
             linestyle="",
             marker="^",
             markersize=14.0,
-            color=_ANCHOR_TRUE,
+            color=ANCHOR_TRUE,
             label="anchor, true",
             zorder=1,
         )
@@ -189,16 +184,14 @@ class _Map:
         extent = 2.0 * float(np.ptp(self.window, axis=1).max())
         for row, (wall, segment) in enumerate(self.segments.items()):
             beyond = self._points(wall, (-extent, extent))
-            axes.plot(*beyond.T, color=_WALL, linewidth=0.8, alpha=0.45, linestyle=(0, (4, 4)), zorder=2)
-            axes.add_patch(Polygon(self._strip(wall), facecolor=_WALL, alpha=0.14, linewidth=0.0, zorder=2))
+            axes.plot(*beyond.T, color=WALL, linewidth=0.8, alpha=0.45, linestyle=(0, (4, 4)), zorder=2)
+            axes.add_patch(Polygon(self._strip(wall), facecolor=WALL, alpha=0.14, linewidth=0.0, zorder=2))
             label = "wall, estimated" if row == 0 else None
-            axes.plot(*segment.T, color=_WALL, linewidth=1.8, solid_capstyle="round", label=label, zorder=3)
+            axes.plot(*segment.T, color=WALL, linewidth=1.8, solid_capstyle="round", label=label, zorder=3)
         for wall, number, first in _births(self.result):
             text = f"wall {number}, from {first:g} s"
             x, y = self.segments[wall].mean(axis=0)
-            axes.annotate(
-                text, (x, y), (0, 6), textcoords="offset points", ha="center", color=_WALL, zorder=5
-            )
+            axes.annotate(text, (x, y), (0, 6), textcoords="offset points", ha="center", color=WALL, zorder=5)
 
     def _strip(self, wall: int) -> Array:
         """Outline of a wall's line moved across by its standard deviations, shape (n, 2)."""
@@ -211,21 +204,21 @@ class _Map:
 
     def _draw_track(self, axes: Axes) -> None:
         track = self._place(self.result.agent_mean[:, :2])
-        axes.plot(*track.T, color=_AGENT, linewidth=1.6, label="track, estimated", zorder=4)
+        axes.plot(*track.T, color=AGENT, linewidth=1.6, label="track, estimated", zorder=4)
         every = max(1, len(track) // 10)
         for epoch in range(len(track) - 1, 0, -every):
-            self._ellipse(axes, track[epoch], self.result.agent_covariance[epoch, :2, :2], _AGENT)
-        axes.plot(*track[0], marker="o", markersize=7.0, color=_AGENT, markerfacecolor="white", zorder=5)
-        axes.annotate("start (RP)", track[0], (0, -14), textcoords="offset points", ha="center", color=_AGENT)
-        axes.plot(*track[-1], marker="o", markersize=6.0, color=_AGENT, zorder=5)
+            self._ellipse(axes, track[epoch], self.result.agent_covariance[epoch, :2, :2], AGENT)
+        axes.plot(*track[0], marker="o", markersize=7.0, color=AGENT, markerfacecolor="white", zorder=5)
+        axes.annotate("start (RP)", track[0], (0, -14), textcoords="offset points", ha="center", color=AGENT)
+        axes.plot(*track[-1], marker="o", markersize=6.0, color=AGENT, zorder=5)
 
     def _draw_anchors(self, axes: Axes) -> None:
         means = self._place(self.result.anchor_mean_m[-1])
         for row, anchor in enumerate(self.anchors):
-            self._ellipse(axes, means[anchor], self.result.anchor_covariance_m2[-1, anchor], _ANCHOR)
+            self._ellipse(axes, means[anchor], self.result.anchor_covariance_m2[-1, anchor], ANCHOR)
             label = "anchor, estimated" if row == 0 else None
             axes.plot(
-                *means[anchor], marker="^", markersize=6.0, linestyle="", color=_ANCHOR, label=label, zorder=5
+                *means[anchor], marker="^", markersize=6.0, linestyle="", color=ANCHOR, label=label, zorder=5
             )
             axes.annotate(
                 self.result.anchors[anchor],
@@ -233,10 +226,10 @@ class _Map:
                 (0, 12),
                 textcoords="offset points",
                 ha="center",
-                color=_ANCHOR,
+                color=ANCHOR,
             )
         label = f"{_SIGMAS:g} standard deviations" + (f", x {self.enlarged}" if self.enlarged > 1 else "")
-        axes.add_patch(Ellipse((np.nan, np.nan), 1, 1, facecolor=_MUTED, alpha=0.3, label=label))
+        axes.add_patch(Ellipse((np.nan, np.nan), 1, 1, facecolor=MUTED, alpha=0.3, label=label))
 
     def _ellipse(self, axes: Axes, centre: Array, covariance: Array, colour: str) -> None:
         values, vectors = np.linalg.eigh(self.turn @ covariance @ self.turn.T)
@@ -272,7 +265,7 @@ def _draw_errors(axes: Axes, result: SlamResult, truth: Truth | None) -> None:
     """Position error and claimed standard deviation over time."""
     claimed = np.sqrt(np.trace(result.agent_covariance[:, :2, :2], axis1=1, axis2=2))
     axes.fill_between(
-        result.time_s, claimed, color=_AGENT, alpha=0.13, linewidth=0.0, label="claimed standard deviation"
+        result.time_s, claimed, color=AGENT, alpha=0.13, linewidth=0.0, label="claimed standard deviation"
     )
     highest = float(claimed.max())
     if truth is not None:
@@ -281,18 +274,18 @@ def _draw_errors(axes: Axes, result: SlamResult, truth: Truth | None) -> None:
             axes.plot(result.time_s, error, color=colour, linewidth=width, label=label)
             highest = max(highest, float(error.max()))
     for _, number, first in _births(result):
-        axes.axvline(first, color=_WALL, linewidth=0.9, linestyle=(0, (4, 3)))
+        axes.axvline(first, color=WALL, linewidth=0.9, linestyle=(0, (4, 3)))
         axes.annotate(
             f" wall {number}",
             (first, 1.0),
             xycoords=("data", "axes fraction"),
             va="top",
-            color=_WALL,
+            color=WALL,
             fontsize=8.0,
         )
     axes.set(xlim=(result.time_s[0], result.time_s[-1] or 1.0), ylim=(0.0, 1.12 * highest or 1.0))
     axes.set(xlabel="time, s", ylabel="position error, m", axisbelow=True)
-    axes.grid(color=_GRID, linewidth=0.8)
+    axes.grid(color=GRID, linewidth=0.8)
     axes.tick_params(length=0)
     axes.legend(
         loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, borderaxespad=0.0, labelspacing=0.8
@@ -303,8 +296,8 @@ def _errors(track: Array, truth: Array) -> Iterator[tuple[Array, str, float, str
     """The lines of the error panel: values, colour, width, label."""
     turned = derotated(track, float(best_rotation(track, truth)))
     for error, colour, width, name in (
-        (distances(track, truth), _AGENT, 1.6, "error"),
-        (distances(turned, truth), _INK, 1.0, "rotation removed"),
+        (distances(track, truth), AGENT, 1.6, "error"),
+        (distances(turned, truth), INK, 1.0, "rotation removed"),
     ):
         yield error, colour, width, f"{name} (mean {error.mean():.3f} m)"
 
