@@ -2,6 +2,7 @@
 # make test      run the tests, README snippets included
 # make lint      style, types, directions of imports;  make format mends the style
 # make setup     only the environment: .venv, pinned and checked by hash
+# make soak      the long tests of the service: kills, broken bodies, load (half an hour)
 # make requirements   pin anew after a change of pyproject.toml
 
 VENV   := .venv
@@ -13,16 +14,21 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
 export PYTHONNOUSERSITE := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format setup requirements clean
+.PHONY: help demo test soak lint format setup requirements clean
 
 help:
-	@sed -n 's/^# //p' Makefile | head -5
+	@sed -n 's/^# //p' Makefile | head -6
 
 demo: $(VENV)/.run
 	@$(BIN)/hapslam demo $(ARGS)
 
 test: $(VENV)/.dev
 	@$(BIN)/python -m pytest --cov --cov-report=term:skip-covered $(ARGS)
+
+soak: $(VENV)/.dev
+	@HAPSLAM_TEST_KILLS=200 HAPSLAM_TEST_RESTARTS=10 HAPSLAM_TEST_BODIES=2000 HAPSLAM_TEST_EXAMPLES=100 \
+	    $(BIN)/python -m pytest tests/service/test_durability.py tests/service/test_fuzz.py $(ARGS)
+	@$(BIN)/hapslam service bench
 
 lint: $(VENV)/.dev
 	@$(BIN)/ruff check .

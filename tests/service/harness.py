@@ -71,7 +71,7 @@ class Server:
         self.process.wait()
 
     def stop(self, patience_s: float = 30.0) -> int:
-        """SIGTERM; the exit status."""
+        """Ask to end (SIGTERM); the exit status."""
         assert self.process is not None
         self.process.send_signal(signal.SIGTERM)
         return self.process.wait(patience_s)
@@ -81,8 +81,7 @@ class Server:
         return self
 
     def __exit__(self, *_: object) -> None:
-        assert self.process is not None
-        if self.process.poll() is None:
+        if self.process is not None and self.process.poll() is None:
             self.kill()
 
 
