@@ -21,7 +21,7 @@ from estimator.dataset import Dataset
 from estimator.errors import ConfigurationError, FileFormatError, InputError
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.sensing.flash import FlashConfig, find_flashes, flash_walls
-from estimator.waveform import OfdmGrid
+from estimator.waveform import OfdmGrid, frequency_response
 
 __all__ = ["ExtractConfig", "Progress", "extract", "extract_epochs", "sense_walls"]
 
@@ -110,7 +110,7 @@ def extract_epochs(
     total = int(_entry(dataset.manifest, "epochs", "manifest")) * anchors
     epochs: list[Epoch] = []
     for shard in dataset.shards("passive"):
-        cfr = _complex(shard, "cfr", "passive", ("epoch", "anchor", "antenna", "tone"))[:, :, 0, :]
+        cfr = _channels(shard, plan.grid)
         if cfr.shape[1:] != (anchors, plan.grid.tones):
             raise FileFormatError(
                 f"{dataset.path}: expected channels of {anchors} anchors and {plan.grid.tones} tones, "
@@ -126,6 +126,18 @@ def extract_epochs(
     if not epochs:
         raise FileFormatError(f"{dataset.path}: expected passive channels, the manifest lists none")
     return tuple(epochs)
+
+
+def _channels(shard: xr.Dataset, grid: OfdmGrid) -> Complex:
+    """CFRs (epoch, anchor, tone) of the first antenna; from impulse responses if it holds no others."""
+    links = ("epoch", "anchor", "antenna")
+    first = shard.isel(antenna=slice(1)) if "antenna" in shard.dims else shard
+    if "cir_re" in shard and "cfr_re" not in shard:
+        cir = _complex(first, "cir", "passive", (*links, "tap"))
+        if cir.shape[-1] == grid.tones:
+            return frequency_response(cir[:, :, 0, :], grid)
+        return cir[:, :, 0, :]
+    return _complex(first, "cfr", "passive", (*links, "tone"))[:, :, 0, :]
 
 
 def sense_walls(dataset: Dataset, config: FlashConfig | None = None) -> tuple[GaussianVrp, ...]:

@@ -92,4 +92,6 @@ def _joined(parts: list[xr.Dataset]) -> xr.Dataset:
     ]
     if len(filled) == 1:
         return filled[0]
-    return xr.concat(filled, "epoch", data_vars="minimal", coords="minimal", compat="override", join="override")
+    return xr.concat(
+        filled, "epoch", data_vars="minimal", coords="minimal", compat="override", join="override"
+    )

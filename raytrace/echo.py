@@ -49,9 +49,19 @@ class EchoSweep:
     diffuse: int
     report: TraceReport | None
 
+    def as_dict(self) -> dict[str, int]:
+        """The counts by name."""
+        return {
+            "specular": self.specular,
+            "diffuse": self.diffuse,
+            **({} if self.report is None else self.report.as_dict()),
+        }
 
-def sweep_echo(plan: FloorPlan, radio: RadioScene | None = None) -> EchoSweep:
-    """Sweep the agent's beams at the epochs that the plan names.
+
+def sweep_echo(
+    plan: FloorPlan, radio: RadioScene | None = None, epochs: tuple[int, ...] | None = None
+) -> EchoSweep:
+    """Sweep the agent's beams at some epochs.
 
     Parameters
     ----------
@@ -59,6 +69,8 @@ def sweep_echo(plan: FloorPlan, radio: RadioScene | None = None) -> EchoSweep:
         The plan; ``plan.echo`` is the link.
     radio : RadioScene, optional
         Its scene at the carrier of ``plan.echo``; by default it is built.
+    epochs : tuple of int, optional
+        When to sweep, at least once; by default as ``plan.echo.sweep_epochs`` says.
 
     Raises
     ------
@@ -66,14 +78,17 @@ def sweep_echo(plan: FloorPlan, radio: RadioScene | None = None) -> EchoSweep:
         If the ray tracer cannot run on this machine.
     """
     radio = build_scene(plan, plan.echo.carrier_hz) if radio is None else radio
-    places = plan.track()[list(plan.echo.sweep_epochs)]
+    epochs = plan.echo.sweep_epochs if epochs is None else epochs
+    places = plan.track()[list(epochs)]
     if plan.echo.model == "radar-equation":
         responses = [radar_sweep(plan, radio, place) for place in places]
-        return EchoSweep(plan.echo.sweep_epochs, np.stack(responses), 0, 0, None)
-    return _physical(plan, radio, places)
+        return EchoSweep(epochs, np.stack(responses), 0, 0, None)
+    return _physical(plan, radio, epochs, places)
 
 
-def _physical(plan: FloorPlan, radio: RadioScene, places: NDArray[np.float64]) -> EchoSweep:
+def _physical(
+    plan: FloorPlan, radio: RadioScene, epochs: tuple[int, ...], places: NDArray[np.float64]
+) -> EchoSweep:
     half = np.array([0.0, 0.0, 0.5 * plan.echo.separation_m])
     responses, reports, specular, diffuse = [], [], 0, 0
     for place in places:
@@ -100,7 +115,7 @@ def _physical(plan: FloorPlan, radio: RadioScene, places: NDArray[np.float64]) -
     total = TraceReport(
         *(sum(values) for values in zip(*(r.as_dict().values() for r in reports), strict=True))
     )
-    return EchoSweep(plan.echo.sweep_epochs, np.stack(responses), specular, diffuse, total)
+    return EchoSweep(epochs, np.stack(responses), specular, diffuse, total)
 
 
 def _beams(plan: FloorPlan, paths: PathList) -> NDArray[np.complex128]:

@@ -1,42 +1,33 @@
-"""A dataset from a floor plan: trace, sum, add noise, write.
+"""A dataset from a floor plan: shard by shard, by one process or many, and on after a break.
 
-The noise of the passive channels and of the echo, timing jitter and calibration errors
-come from separate streams of one seed; everything else has no chance in it. Equal plans
-and seeds give equal bytes. What the estimator may read (channels, beams) and the truth
-(plan, anchors, track) go to different files; see :mod:`estimator.dataset` for the layout.
+Equal plans, seeds and settings give equal bytes, whoever makes the shards, in whatever
+order, and however often it was broken off. What the estimator may read (channels,
+beams) and the truth (plan, anchors, track) go to different files; see
+:mod:`estimator.dataset` for the layout, :mod:`raytrace.shard_task` for what is random.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
-from importlib import metadata
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from estimator.dataset import Dataset, DatasetWriter, open_dataset, require_absent
-from estimator.errors import ConfigurationError, FileFormatError
-from estimator.waveform import free_space_loss_db
+from estimator.dataset import Dataset, DatasetWriter, open_dataset
+from estimator.errors import ConfigurationError
 from raytrace.backend import prepare
-from raytrace.channel import add_noise, channel_response
-from raytrace.echo import EchoSweep, sweep_echo
+from raytrace.finish import finish
 from raytrace.floorplan import FloorPlan
-from raytrace.impairments import jitter, miscalibrate
-from raytrace.links import Echo, Radio
-from raytrace.passive import TraceReport, trace_passive
-from raytrace.scattering import diffuse_response
-from raytrace.scene import build_scene
-from raytrace.shards import echo_shard, passive_shard, paths_shard, truth_shard
+from raytrace.journal import journal, require_place
+from raytrace.manifest import head
+from raytrace.output import Output
+from raytrace.passive import TraceReport
+from raytrace.shard_task import Progress, ShardTask, Stages, make_shard
+from raytrace.workers import Workers
 
-__all__ = ["Generated", "generate"]
-
-Progress = Callable[[int, int, str], None]
-
-_STAGES = ("starting the ray tracer", "tracing paths", "summing channels", "sweeping beams", "writing")
+__all__ = ["Generated", "generate", "generate_part", "make_shards"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +39,8 @@ class Generated:
     dataset : Dataset
         The dataset, opened.
     seconds : mapping of str to float
-        Wall-clock seconds of each stage (never written to the dataset).
+        Wall-clock seconds of each stage, summed over the shards made now (never
+        written to the dataset).
     report : TraceReport
         How the passive paths compare with the image method.
     """
@@ -58,7 +50,16 @@ class Generated:
     report: TraceReport
 
 
-def generate(plan: FloorPlan, out: Path, seed: int, progress: Progress | None = None) -> Generated:
+def generate(
+    plan: FloorPlan,
+    out: Path,
+    seed: int,
+    progress: Progress | None = None,
+    *,
+    output: Output | None = None,
+    resume: bool = False,
+    crew: Workers | None = None,
+) -> Generated:
     """Trace a plan and write the dataset.
 
     Parameters
@@ -70,149 +71,153 @@ def generate(plan: FloorPlan, out: Path, seed: int, progress: Progress | None = 
     seed : int
         Seed of the noise, not negative.
     progress : callable, optional
-        Called with (stages done, stages in all, what comes next).
+        Called with (done, in all, what comes next): stages where there is one shard,
+        else epochs, with their rate and the time left.
+    output : Output, optional
+        Shards and contents.
+    resume : bool
+        Go on with ``out`` if it was begun with the same plan, seed and output, keeping
+        the shards that it has; begin it if it is not there.
+    crew : Workers, optional
+        Who makes the shards; by default this process.
 
     Raises
     ------
     OutputExistsError
-        If ``out`` exists; nothing is traced then.
+        If ``out`` exists and is not to be gone on with, or another process writes it;
+        nothing is traced then.
+    ConfigurationError
+        If ``out`` was begun with something else.
     BackendError
-        If the ray tracer cannot run on this machine.
+        If the ray tracer cannot run on this machine, or a worker died.
     """
     out = Path(out)
-    require_absent(out)
-    if not out.parent.is_dir():
-        raise FileFormatError(f"{out}: expected an existing folder {out.parent}, there is none")
+    settings, known = _prepared(plan, out, seed, output, resume)
+    with journal(out, known, resume) as writer:
+        seconds: dict[str, float] = {}
+        if writer is not None:
+            stages = Stages(progress)
+            seconds = make_shards(writer, plan, seed, settings, crew, progress, stages)
+            start = time.perf_counter()
+            finish(writer, plan, known)
+            seconds["write"] = seconds.get("write", 0.0) + time.perf_counter() - start
+            if stages.seconds:
+                stages.finished()
+    dataset = open_dataset(out)
+    passive = dataset.manifest["statistics"]["passive"]
+    report = TraceReport(**{field.name: passive[field.name] for field in fields(TraceReport)})
+    return Generated(dataset, seconds, report)
+
+
+def generate_part(
+    plan: FloorPlan,
+    out: Path,
+    seed: int,
+    part: tuple[int, int],
+    progress: Progress | None = None,
+    *,
+    output: Output | None = None,
+    resume: bool = False,
+    crew: Workers | None = None,
+) -> None:
+    """Make every ``n``-th shard of a dataset and leave it incomplete, for :func:`raytrace.merge.merge`.
+
+    Parameters
+    ----------
+    part : tuple of int
+        Which part, ``(i, n)`` with ``1 <= i <= n``: shards ``i - 1``, ``i - 1 + n``, and so on.
+    plan, out, seed, progress, output, resume, crew
+        As for :func:`generate`, with its errors.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such part.
+    """
+    number, parts = part
+    if not 1 <= number <= parts:
+        raise ConfigurationError(f"part: expected i/n with 1 <= i <= n, got {number}/{parts}")
+    out = Path(out)
+    settings, known = _prepared(plan, out, seed, output, resume)
+    with journal(out, known, resume) as writer:
+        if writer is not None:
+            make_shards(writer, plan, seed, settings, crew, progress, part=part)
+
+
+def _prepared(
+    plan: FloorPlan, out: Path, seed: int, output: Output | None, resume: bool
+) -> tuple[Output, dict[str, Any]]:
+    """Settings with everything chosen, and the head of the manifest; nothing is written if that fails."""
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigurationError(f"seed: expected an integer of at least 0, got {seed!r}")
-    streams = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4))
-    passive_rng, echo_rng, timing_rng, calibration_rng = streams
-    stages = _Stages(progress)
-
-    with stages("scene"):
-        choice = prepare()
-        radio = build_scene(plan, plan.radio.carrier_hz)
-    with stages("passive"):
-        paths, report = trace_passive(plan, radio)
-    with stages("channels"):
-        array = plan.radio.agent_array.array()
-        response = channel_response(paths, plan.radio.grid(), array, plan.agent.heading_rad)
-        diffuse_paths = 0
-        if plan.scatters:
-            diffuse, diffuse_paths = diffuse_response(plan, radio)
-            response = response + diffuse
-        response = jitter(response, plan.radio.grid(), plan.radio.timing_jitter_s, timing_rng)
-        received = add_noise(response, plan.radio.noise_variance(), passive_rng)
-    with stages("echo"):
-        same = plan.echo.carrier_hz == plan.radio.carrier_hz
-        sweep = sweep_echo(plan, radio if same else None)
-        response = miscalibrate(
-            sweep.response,
-            plan.echo.grid(),
-            plan.echo.gain_error_db,
-            float(np.deg2rad(plan.echo.phase_error_deg)),
-            plan.echo.range_error_m,
-            calibration_rng,
-        )
-        heard = add_noise(response, plan.echo.noise_variance(), echo_rng)
-    with stages("write"):
-        writer = DatasetWriter(out, _manifest(plan, seed, choice.version))
-        writer.write("passive", "passive-00000.nc", passive_shard(plan, received))
-        writer.write("echo", "echo-00000.nc", echo_shard(plan, heard))
-        writer.write("paths", "paths-00000.nc", paths_shard(plan, paths))
-        writer.write("truth", "truth.nc", truth_shard(plan, paths))
-        line_of_sight = paths.delay_s[paths.valid & (paths.order == 0)]
-        writer.finish(statistics=_statistics(plan, report, diffuse_paths, sweep, line_of_sight))
-    return Generated(open_dataset(out), stages.seconds, report)
+    if not resume:
+        require_place(out)
+    settings = (Output() if output is None else output).chosen(plan)
+    return settings, head(plan, seed, settings, prepare().version)
 
 
-class _Stages:
-    """Times the stages and tells the progress."""
-
-    def __init__(self, progress: Progress | None) -> None:
-        self.seconds: dict[str, float] = {}
-        self._progress = progress
-
-    @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        done = len(self.seconds)
-        if self._progress is not None:
-            self._progress(done, len(_STAGES), _STAGES[done])
-        start = time.perf_counter()
-        yield
-        self.seconds[name] = time.perf_counter() - start
-        if self._progress is not None and done + 1 == len(_STAGES):
-            self._progress(len(_STAGES), len(_STAGES), "done")
-
-
-def _manifest(plan: FloorPlan, seed: int, llvm: str) -> dict[str, Any]:
-    """What the estimator may know: the links, not the plan."""
-    agent_array, beams = plan.radio.agent_array.array(), plan.echo.beams.beam_set()
-    packages = ("sionna-rt", "mitsuba", "drjit", "numpy")
-    return {
-        "name": plan.name,
-        "seed": seed,
-        "scene": {"name": plan.name, "sha256": plan.sha256()},
-        "anchors": [anchor.name for anchor in plan.anchors],
-        "epochs": plan.agent.epochs,
-        "frame": "origin: agent's start (RP); axes: the agent's arrays at the start; metres, radians",
-        "versions": {**{name: metadata.version(name) for name in packages}, "llvm": llvm},
-        "radio": {
-            **_signal(plan.radio),
-            "eirp_dbm": plan.radio.eirp_dbm,
-            "agent_array": {
-                "elements": agent_array.elements,
-                "spacing_wavelengths": agent_array.spacing_wavelengths,
-                "boresight_rad": agent_array.boresight_rad,
-            },
-        },
-        "echo": {
-            **_signal(plan.echo),
-            "tx_power_dbm": plan.echo.tx_power_dbm,
-            "model": plan.echo.model,
-            "beams": {
-                "panels": beams.panels,
-                "elements": beams.elements,
-                "beams": beams.beams,
-                "spacing_wavelengths": beams.spacing_wavelengths,
-                "heading_rad": beams.heading_rad,
-            },
-        },
-        "tracing": plan.tracing.model_dump(mode="json"),
-    }
-
-
-def _signal(link: Radio | Echo) -> dict[str, Any]:
-    return {
-        "carrier_hz": link.carrier_hz,
-        "subcarrier_spacing_hz": link.subcarrier_spacing_hz,
-        "subcarriers": link.subcarriers,
-        "comb": link.comb,
-        "symbols": link.symbols,
-        "noise_figure_db": link.noise_figure_db,
-        "noise_variance": link.noise_variance(),
-    }
-
-
-def _statistics(
+def make_shards(
+    writer: DatasetWriter,
     plan: FloorPlan,
-    report: TraceReport,
-    diffuse_paths: int,
-    sweep: EchoSweep,
-    line_of_sight_s: np.ndarray[Any, np.dtype[np.float64]],
-) -> dict[str, Any]:
-    """What came out: paths found and lost, and the SNR of the line of sight over all tones."""
-    grid = plan.radio.grid()
-    snr_db = None
-    if line_of_sight_s.size:
-        loss_db = free_space_loss_db(line_of_sight_s * 299_792_458.0, grid.carrier_hz)
-        noise_db = 10.0 * np.log10(plan.radio.noise_variance() / grid.tones)
-        snr_db = round(float(np.median(-loss_db - noise_db)), 2)
-    return {
-        "passive": {**report.as_dict(), "diffuse": diffuse_paths, "los_snr_db_median": snr_db},
-        "echo": {
-            "specular": sweep.specular,
-            "diffuse": sweep.diffuse,
-            **({} if sweep.report is None else sweep.report.as_dict()),
-        },
-    }
+    seed: int,
+    output: Output,
+    crew: Workers | None = None,
+    progress: Progress | None = None,
+    stages: Stages | None = None,
+    part: tuple[int, int] = (1, 1),
+) -> dict[str, float]:
+    """Make the shards that a writer does not have yet.
+
+    Parameters
+    ----------
+    writer : DatasetWriter
+        Is told of every shard as it is finished.
+    plan, seed, output, crew, progress
+        As for :func:`generate`.
+    stages : Stages, optional
+        Told of the stages if one shard is all there is, and this process makes it.
+    part : tuple of int
+        As for :func:`generate_part`.
+
+    Returns
+    -------
+    dict
+        Seconds of each stage, over all shards.
+    """
+    ranges = output.ranges(plan.agent.epochs)
+    there = {tuple(entry["epochs"]) for entry in writer.shards}
+    number, parts = part
+    mine = [(index, span) for index, span in enumerate(ranges) if index % parts == number - 1]
+    tasks = [ShardTask(plan, seed, output, index, *span) for index, span in mine if span not in there]
+    total = sum(stop - first for _, (first, stop) in mine)
+    crew = Workers() if crew is None else crew
+    alone = len(ranges) == 1 and crew.executor is None and stages is not None
+    pace = _Pace(None if alone else progress, total - sum(task.stop - task.first for task in tasks), total)
+    work = partial(make_shard, folder=writer.path.resolve(), stages=stages if alone else None)
+    seconds: dict[str, float] = {}
+    for made in crew.run(work, tasks):
+        writer.add(*made.entries)
+        for stage, spent in made.seconds.items():
+            seconds[stage] = seconds.get(stage, 0.0) + spent
+        pace.advance(made.stop - made.first)
+    return seconds
+
+
+class _Pace:
+    """Epochs done, with their rate and the time that the rest will take."""
+
+    def __init__(self, progress: Progress | None, there: int, total: int) -> None:
+        self._progress, self._there, self._total = progress, there, total
+        self._made, self._begin = 0, time.perf_counter()
+        self._tell("starting")
+
+    def advance(self, epochs: int) -> None:
+        """Count epochs that were made now."""
+        self._made += epochs
+        rate = self._made / max(time.perf_counter() - self._begin, 1e-9)
+        left = round((self._total - self._there - self._made) / rate)
+        self._tell(f"{rate:.0f} epochs/s, {left // 60}:{left % 60:02d} left")
+
+    def _tell(self, text: str) -> None:
+        if self._progress is not None:
+            self._progress(self._there + self._made, self._total, text)

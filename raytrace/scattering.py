@@ -24,7 +24,9 @@ __all__ = ["diffuse_response"]
 _BATCH = 32
 
 
-def diffuse_response(plan: FloorPlan, radio: RadioScene) -> tuple[NDArray[np.complex128], int]:
+def diffuse_response(
+    plan: FloorPlan, radio: RadioScene, positions_m: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.complex128], int]:
     """Noiseless diffuse part of every passive link.
 
     Parameters
@@ -33,6 +35,8 @@ def diffuse_response(plan: FloorPlan, radio: RadioScene) -> tuple[NDArray[np.com
         The plan; ``tracing.diffuse_samples`` rays leave each anchor.
     radio : RadioScene
         Its scene at the carrier of ``plan.radio``.
+    positions_m : ndarray, shape (epochs, 3), optional
+        Positions of the agent, metres; by default the plan's track.
 
     Returns
     -------
@@ -41,7 +45,7 @@ def diffuse_response(plan: FloorPlan, radio: RadioScene) -> tuple[NDArray[np.com
     paths : int
         Number of diffuse paths in it.
     """
-    positions, anchors = plan.track(), plan.anchors_m()
+    positions, anchors = plan.track() if positions_m is None else positions_m, plan.anchors_m()
     rays = plan.tracing.diffuse_samples
     parts, total = [], 0
     for start in range(0, len(positions), _BATCH):

@@ -13,6 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from estimator.geometry import vrp_of_line
+from estimator.waveform import impulse_response
 from raytrace.floorplan import FloorPlan
 from raytrace.paths import PathSet
 
@@ -22,22 +23,34 @@ _PLAN_FRAME = "the plan's: z up, azimuth counter-clockwise from x"
 _AGENT_FRAME = "the agent's at the start: the plan's, turned back by the agent's heading"
 
 
-def passive_shard(plan: FloorPlan, cfr: NDArray[np.complex128]) -> xr.Dataset:
-    """Noisy channels, shape (epochs, anchors, antennas, tones)."""
-    dims = ("epoch", "anchor", "antenna", "tone")
-    return xr.Dataset(
-        {
-            **_complex_pair("cfr", dims, cfr, np.float32, "channel gain with noise"),
-            "time_s": ("epoch", plan.times_s(), {"units": "s", "long_name": "time since the first epoch"}),
-        },
-        coords={**_epochs(plan), **_anchors(plan), **_tones(plan.radio.grid().offsets_hz())},
+def passive_shard(
+    plan: FloorPlan, cfr: NDArray[np.complex128], epochs: NDArray[np.int64], content: str = "cfr"
+) -> xr.Dataset:
+    """Noisy channels of some epochs, shape (epochs, anchors, antennas, tones).
+
+    ``content`` is ``cfr``, ``cir`` (the same as impulse responses) or ``both``.
+    """
+    links, grid = ("epoch", "anchor", "antenna"), plan.radio.grid()
+    times = plan.times_s()[epochs]
+    shard = xr.Dataset(
+        {"time_s": ("epoch", times, {"units": "s", "long_name": "time since the first epoch"})},
+        coords={**_epochs(epochs), **_anchors(plan)},
     )
+    if content in ("cfr", "both"):
+        pair = _complex_pair("cfr", (*links, "tone"), cfr, np.float32, "channel gain with noise")
+        shard = shard.assign(pair).assign_coords(_tones(grid.offsets_hz()))
+    if content in ("cir", "both"):
+        cir = impulse_response(cfr, grid)
+        pair = _complex_pair("cir", (*links, "tap"), cir, np.float32, "channel tap with noise")
+        delay = {"units": "s", "long_name": "delay of the tap"}
+        shard = shard.assign(pair).assign_coords(tap_delay_s=("tap", grid.taps_s(), delay))
+    return shard
 
 
-def echo_shard(plan: FloorPlan, response: NDArray[np.complex128]) -> xr.Dataset:
-    """Noisy beam sweeps, shape (sweeps, beams, tones)."""
+def echo_shard(plan: FloorPlan, response: NDArray[np.complex128], sweeps: tuple[int, ...]) -> xr.Dataset:
+    """Noisy beam sweeps, shape (sweeps, beams, tones), at some epochs."""
     azimuth = plan.echo.beams.beam_set().azimuths()
-    epochs = np.array(plan.echo.sweep_epochs, dtype=np.int64)
+    epochs = np.array(sweeps, dtype=np.int64)
     return xr.Dataset(
         {
             **_complex_pair("echo", ("sweep", "beam", "tone"), response, np.float32, "two-way beam response"),
@@ -48,8 +61,8 @@ def echo_shard(plan: FloorPlan, response: NDArray[np.complex128]) -> xr.Dataset:
     )
 
 
-def paths_shard(plan: FloorPlan, paths: PathSet) -> xr.Dataset:
-    """The specular paths without noise, axes (epoch, anchor, path)."""
+def paths_shard(plan: FloorPlan, paths: PathSet, epochs: NDArray[np.int64]) -> xr.Dataset:
+    """The specular paths of some epochs without noise, axes (epoch, anchor, path)."""
     dims = ("epoch", "anchor", "path")
     arrival = np.angle(np.exp(1j * (paths.arrival_azimuth_rad - plan.agent.heading_rad)))
     real = {
@@ -80,12 +93,15 @@ def paths_shard(plan: FloorPlan, paths: PathSet) -> xr.Dataset:
                 },
             ),
         },
-        coords={**_epochs(plan), **_anchors(plan)},
+        coords={**_epochs(epochs), **_anchors(plan)},
     )
 
 
-def truth_shard(plan: FloorPlan, paths: PathSet) -> xr.Dataset:
-    """Floor plan, anchors, track and walls, in the plan frame."""
+def truth_shard(plan: FloorPlan, reflects: NDArray[np.bool_]) -> xr.Dataset:
+    """Floor plan, anchors, track and walls, in the plan frame.
+
+    ``reflects``, shape (epochs, anchors, walls), says where a single bounce reaches the agent.
+    """
     track = plan.track()
     start, end = plan.walls_m()
     metres = {"units": "m", "frame": _PLAN_FRAME}
@@ -104,12 +120,12 @@ def truth_shard(plan: FloorPlan, paths: PathSet) -> xr.Dataset:
             ),
             "reflects": (
                 ("epoch", "anchor", "wall"),
-                _reflects(plan, paths).astype(np.int8),
+                reflects.astype(np.int8),
                 {"units": "1", "long_name": "1 where a single bounce on the wall reaches the agent"},
             ),
         },
         coords={
-            **_epochs(plan),
+            **_epochs(np.arange(plan.agent.epochs, dtype=np.int64)),
             **_anchors(plan),
             "wall": ("wall", [wall.name for wall in plan.walls]),
         },
@@ -118,13 +134,6 @@ def truth_shard(plan: FloorPlan, paths: PathSet) -> xr.Dataset:
             "start_m": track[0],
             "heading_rad": plan.agent.heading_rad,
         },
-    )
-
-
-def _reflects(plan: FloorPlan, paths: PathSet) -> NDArray[np.bool_]:
-    single = paths.valid & (paths.order == 1)
-    return np.stack(
-        [np.any(single & (paths.walls[..., 0] == wall), axis=-1) for wall in range(len(plan.walls))], axis=-1
     )
 
 
@@ -141,8 +150,8 @@ def _complex_pair(
     }
 
 
-def _epochs(plan: FloorPlan) -> dict[str, tuple[str, NDArray[np.int64], dict[str, str]]]:
-    return {"epoch": ("epoch", np.arange(plan.agent.epochs, dtype=np.int64), {"units": "1"})}
+def _epochs(epochs: NDArray[np.int64]) -> dict[str, tuple[str, NDArray[np.int64], dict[str, str]]]:
+    return {"epoch": ("epoch", epochs, {"units": "1"})}
 
 
 def _anchors(plan: FloorPlan) -> dict[str, tuple[str, list[str]]]:

@@ -226,12 +226,12 @@ def test_a_failure_leaves_no_dataset(
     plan: FloorPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If tracing fails nothing has been written; if writing fails the dataset is marked incomplete."""
-    monkeypatch.setattr("raytrace.generate.trace_passive", lambda *_: (_ for _ in ()).throw(MemoryError()))
+    monkeypatch.setattr("raytrace.shard_task.trace_specular", lambda *_: (_ for _ in ()).throw(MemoryError()))
     with pytest.raises(MemoryError):
         generate(plan, tmp_path / "early", seed=1)
     assert not (tmp_path / "early").exists()
     monkeypatch.undo()
-    monkeypatch.setattr("raytrace.generate.truth_shard", lambda *_: (_ for _ in ()).throw(MemoryError()))
+    monkeypatch.setattr("raytrace.finish.truth_shard", lambda *_: (_ for _ in ()).throw(MemoryError()))
     with pytest.raises(MemoryError):
         generate(plan, tmp_path / "late", seed=1)
     with pytest.raises(FileFormatError, match="expected a complete dataset"):
