@@ -4,6 +4,8 @@ from estimator.slam.config import GaussianConfig
 from estimator.slam.engine import Engine, GaussianEngine, Prior, epoch_rng
 from estimator.slam.estimate import Estimate, estimate
 from estimator.slam.gaussian import step
+from estimator.slam.particle import ParticleEngine
+from estimator.slam.particle_config import ParticleConfig
 from estimator.slam.run import run_slam
 from estimator.slam.start import start
 from estimator.slam.state import GaussianState, load_state, save_state
@@ -14,6 +16,8 @@ __all__ = [
     "GaussianConfig",
     "GaussianEngine",
     "GaussianState",
+    "ParticleConfig",
+    "ParticleEngine",
     "Prior",
     "epoch_rng",
     "estimate",

