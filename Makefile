@@ -63,7 +63,7 @@ $(VENV)/.dev: $(VENV)/.run requirements/dev.txt
 # uv resolves for all Pythons and platforms at once; it is fetched for this target alone.
 COMPILE := build/uv/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
            --no-emit-index-url --no-annotate --custom-compile-command "make requirements" \
-           pyproject.toml --extra raytrace --group build
+           pyproject.toml --extra raytrace --extra plans --group build
 requirements: $(VENV)/.python
 	@$(BIN)/python -m venv build/uv && build/uv/bin/python -m pip install --quiet uv
 	@$(COMPILE) --group dev $(ARGS) -o requirements/dev.txt
