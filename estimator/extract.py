@@ -20,6 +20,7 @@ from estimator.channel.nomp import DelayEstimate, NompConfig, NompPlan
 from estimator.dataset import Dataset
 from estimator.errors import ConfigurationError, FileFormatError, InputError
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
+from estimator.sensing.beam_ranges import walls_of_beams
 from estimator.sensing.flash import FlashConfig, find_flashes, flash_walls
 from estimator.waveform import OfdmGrid, frequency_response
 
@@ -165,6 +166,8 @@ def sense_walls(dataset: Dataset, config: FlashConfig | None = None) -> tuple[Ga
                 f"as the manifest says, got {echo.shape[0]} and {echo.shape[1]}"
             )
         noise_variance = float(_entry(section, "noise_variance", "echo"))
+        if section.get("model") == "radar-equation":  # every beam hears its wall, and nothing flashes
+            return walls_of_beams(echo, noise_variance, grid, beams)
         return flash_walls(find_flashes(echo, noise_variance, grid, beams, config))
     return ()
 
