@@ -1,0 +1,233 @@
+"""The commands around floor plans: `scene check`, `show`, `random`, `import`, `schema`, and pictures."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["register"]
+
+_scene = typer.Typer(no_args_is_help=True, help="Floor plans: check, draw, make, and import them.")
+
+Scene = Annotated[
+    str, typer.Argument(metavar="FILE", help="Floor plan file, or the name of a shipped scene.")
+]
+Picture = Annotated[Path | None, typer.Option(metavar="FILE", help="Picture to write: .png, .svg or .pdf.")]
+Plan = Annotated[Path, typer.Option(metavar="FILE", help="Floor plan to write (TOML).")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+DatasetPath = Annotated[Path, typer.Argument(help="Dataset directory.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the command line."""
+    app.add_typer(_scene, name="scene")
+
+
+def _examples(*lines: str) -> str:
+    return "[bold]Examples[/]\n\n" + "\n\n".join(f"  $ hapslam scene {line}" for line in lines)
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+
+
+@_scene.command(epilog=_examples("check l-room", "check my-plan.toml --json"))
+def check(scene: Scene, as_json: Json = False) -> None:
+    """Check a floor plan and say what it amounts to."""
+    from raytrace.floorplan import load_floorplan
+    from raytrace.plan_files import floorplan_summary
+
+    summary = floorplan_summary(load_floorplan(scene))
+    if as_json:
+        _say(json.dumps(summary, indent=2, allow_nan=False))
+        return
+    for name, value in summary.items():
+        if name == "warnings":
+            continue
+        text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value
+        _say(f"{name:<14} {text}")
+    for warning in summary["warnings"]:
+        _say(f"warning        {warning}")
+
+
+@_scene.command(
+    epilog=_examples(
+        "show l-room --out l-room.png", "show l-room --coverage", "show l-room --paths 40 --depth 1"
+    )
+)
+def show(
+    scene: Scene,
+    out: Picture = None,
+    coverage: Annotated[bool, typer.Option("--coverage", help="Draw the received power.")] = False,
+    paths: Annotated[
+        int | None, typer.Option(min=0, metavar="EPOCH", help="Draw the paths at an epoch.")
+    ] = None,
+    depth: Annotated[int, typer.Option(min=0, max=3, help="Most bounces of what is drawn.")] = 1,
+) -> None:
+    """Draw a floor plan; with the power everywhere, or with the paths at an epoch."""
+    from estimator.errors import ConfigurationError
+    from raytrace.floorplan import load_floorplan
+    from raytrace.pictures import draw_coverage, draw_paths, draw_plan
+
+    if coverage and paths is not None:
+        raise ConfigurationError("expected --coverage or --paths, got both")
+    plan = load_floorplan(scene)
+    _check_name(out)
+    if coverage:
+        figure, name = draw_coverage(plan, depth), f"{plan.name}-coverage"
+    elif paths is not None:
+        figure, name = draw_paths(plan, paths, depth), f"{plan.name}-paths"
+    else:
+        figure, name = draw_plan(plan), plan.name
+    _save(figure, out, name)
+
+
+@_scene.command(
+    "random",
+    epilog=_examples(
+        "random --seed 3 --kind office --out office-3.toml", "random --seed 1 --kind hall --out h.toml"
+    ),
+)
+def random_(
+    kind: Annotated[str, typer.Option(help="rectangle, l-shape, corridor, office or hall.")],
+    out: Plan,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 1,
+) -> None:
+    """Make a random floor plan with anchors and a walk."""
+    import numpy as np
+
+    from raytrace.plan_files import save_floorplan
+    from raytrace.random_plans import random_plan
+
+    plan = random_plan(kind, np.random.default_rng(seed))  # type: ignore[arg-type]  # it checks
+    save_floorplan(plan.updated({"name": out.stem[:100]}), out)
+    _say(f"{out}: {len(plan.walls)} walls, {len(plan.anchors)} anchors, {plan.agent.epochs} epochs")
+
+
+@_scene.command(
+    "import",
+    epilog=_examples(
+        "import flat.dxf --out flat.toml",
+        'import flat.dxf --layer "A-WALL*=brick" --layer "A-DOOR=wood" --unit mm --out flat.toml',
+        "import scene.xml --mesh meshes/walls.ply --out hall.toml",
+    ),
+)
+def import_(
+    file: Annotated[Path, typer.Argument(help="Drawing: .dxf, .geojson, .json, .xml (Mitsuba) or .ply.")],
+    out: Plan,
+    layer: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATTERN=MATERIAL", help="Material of layers, features or objects; or =ignore."),
+    ] = None,
+    material: Annotated[str | None, typer.Option(help="Material of what nothing else tells.")] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="m, dm, cm, mm, in, ft, yd or km; by default the file's.")
+    ] = None,
+    height: Annotated[float, typer.Option(help="Height of walls that the file does not tell, metres.")] = 3.0,
+    thickness: Annotated[float, typer.Option(help="Thickness of single lines, metres.")] = 0.2,
+    thickest: Annotated[
+        float, typer.Option(help="Parallel lines nearer than this are faces of one wall, metres.")
+    ] = 0.5,
+    cut: Annotated[float, typer.Option(help="Height at which models are cut, metres.")] = 1.2,
+    up: Annotated[str, typer.Option(help="Axis of a model that points upwards: z or y.")] = "z",
+    mesh: Annotated[
+        list[Path] | None, typer.Option(help="PLY file that a Mitsuba scene may use; no other is read.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Make a floor plan of a drawing, and report what was kept, dropped and collapsed."""
+    from estimator.dataset import require_absent
+    from raytrace.import_options import ImportOptions
+    from raytrace.importers import import_floorplan
+    from raytrace.plan_files import save_floorplan
+
+    require_absent(out)
+    options = ImportOptions(
+        materials=_materials(layer or []),
+        material=material,
+        unit=unit,
+        height_m=height,
+        thickness_m=thickness,
+        thickest_m=thickest,
+        cut_m=cut,
+        up=up,  # type: ignore[arg-type]  # it checks
+    )
+    imported = import_floorplan(file, options, mesh or [])
+    save_floorplan(imported.plan, out)
+    report = imported.drawing.report
+    _say(json.dumps(report.as_dict(), indent=2) if as_json else "\n".join(report.lines()))
+
+
+@_scene.command(epilog=_examples("schema > floorplan.schema.json"))
+def schema() -> None:
+    """Print the JSON Schema of floor plan files."""
+    from raytrace.plan_files import floorplan_schema
+
+    _say(json.dumps(floorplan_schema(), indent=2))
+
+
+@_scene.command(epilog=_examples("profile room --out profile.png"))
+def profile(dataset: DatasetPath, out: Picture = None) -> None:
+    """Draw a dataset's power over path length along the trajectory."""
+    from estimator.dataset import open_dataset
+    from raytrace.dataset_pictures import draw_delay_profile
+
+    _check_name(out)
+    opened = open_dataset(dataset)
+    _save(draw_delay_profile(opened), out, f"{_stem(opened.manifest)}-profile")
+
+
+@_scene.command(epilog=_examples("sweep room --out sweep.png", "sweep room --number 2"))
+def sweep(
+    dataset: DatasetPath,
+    out: Picture = None,
+    number: Annotated[int, typer.Option(min=0, help="Which sweep.")] = 0,
+) -> None:
+    """Draw the echo of a dataset's beam sweep over range and angle."""
+    from estimator.dataset import open_dataset
+    from raytrace.dataset_pictures import draw_range_angle
+
+    _check_name(out)
+    opened = open_dataset(dataset)
+    _save(draw_range_angle(opened, number), out, f"{_stem(opened.manifest)}-sweep")
+
+
+def _stem(manifest: Any) -> str:
+    return str(manifest.get("name", "dataset"))
+
+
+def _materials(pairs: list[str]) -> dict[str, str]:
+    """``PATTERN=MATERIAL`` arguments; raises ConfigurationError."""
+    from estimator.errors import ConfigurationError
+
+    materials = {}
+    for pair in pairs:
+        pattern, equals, material = pair.rpartition("=")
+        if not equals or not pattern:
+            raise ConfigurationError(f"--layer: expected PATTERN=MATERIAL, got {pair!r}")
+        materials[pattern] = material
+    return materials
+
+
+def _check_name(out: Path | None) -> None:
+    from estimator.plots import require_picture_name
+
+    if out is not None:
+        require_picture_name(out)
+
+
+def _save(figure: Figure, out: Path | None, name: str) -> None:
+    from estimator.plots import save_figure
+
+    path = (
+        Path(f"{''.join(c if c.isalnum() or c in '-_.' else '-' for c in name)}.png") if out is None else out
+    )
+    save_figure(figure, path)
+    _say(str(path))
