@@ -70,7 +70,7 @@ def test_links_lead_somewhere(page: str) -> None:
     """Links to files of the repository point to files that are there."""
     text = (ROOT / page).read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+)\)", text):
-        if "://" not in target and not target.endswith(".png"):
+        if "://" not in target:
             assert ((ROOT / page).parent / target).exists(), target
 
 
