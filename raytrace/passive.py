@@ -24,12 +24,12 @@ from raytrace.paths import PathList, PathSet
 from raytrace.scene import RadioScene, build_scene
 from raytrace.solver import solve
 
-__all__ = ["TraceReport", "trace_passive", "trace_specular"]
+__all__ = ["LEG_M", "RIM_M", "TraceReport", "trace_passive", "trace_specular"]
 
 _BATCH = 256
-_RIM_M = 1e-3
+RIM_M = 1e-3
 # The tracer's own limit is 10 mm, in single precision.
-_LEG_M = 10.1e-3
+LEG_M = 10.1e-3
 # Rays of the repeated attempts, as multiples of the plan's.
 _RETRIES = (1, 1, 4, 16)
 
@@ -95,7 +95,7 @@ def trace_specular(
     plan: FloorPlan, radio: RadioScene, sources_m: Array, positions_m: Array, depth: int
 ) -> tuple[PathSet, TraceReport]:
     """Trace the specular paths from sources (k, 3) to positions (n, 3), metres; as :func:`trace_passive`."""
-    exact = image_paths(plan, positions_m, depth, sources_m, rim_m=_RIM_M, leg_m=_LEG_M).flat()
+    exact = image_paths(plan, positions_m, depth, sources_m, rim_m=RIM_M, leg_m=LEG_M).flat()
 
     def keys(paths: PathList) -> NDArray[np.int64]:
         return paths.keys(len(sources_m), len(plan.surface_names))

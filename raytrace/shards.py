@@ -1,4 +1,4 @@
-"""The shards of a dataset as xarray datasets: dimensions, units and frames.
+"""The shards of a dataset as xarray datasets, and back: dimensions, units and frames.
 
 Complex numbers are pairs ``_re``, ``_im``; every variable has CF ``units``. Channels,
 beams and the arrival angles of the paths are in the agent's frame at the start;
@@ -7,18 +7,30 @@ departure angles, walls, anchors and the track are in the plan frame.
 
 from __future__ import annotations
 
+import tomllib
+
 import numpy as np
 import tomli_w
 import xarray as xr
 from numpy.typing import NDArray
 
+from estimator.errors import FileFormatError
 from estimator.geometry import vrp_of_line
 from estimator.waveform import impulse_response
-from raytrace.floorplan import FloorPlan
+from raytrace.floorplan import FloorPlan, parse_floorplan
 from raytrace.paths import PathSet
 
-__all__ = ["echo_shard", "passive_shard", "paths_shard", "truth_shard"]
+__all__ = ["echo_shard", "passive_shard", "paths_shard", "stored_paths", "stored_plan", "truth_shard"]
 
+_PATH_COLUMNS = (
+    "delay_s",
+    "departure_azimuth_rad",
+    "departure_elevation_rad",
+    "arrival_azimuth_rad",
+    "arrival_elevation_rad",
+    "order",
+    "walls",
+)
 _PLAN_FRAME = "the plan's: z up, azimuth counter-clockwise from x"
 _AGENT_FRAME = "the agent's at the start: the plan's, turned back by the agent's heading"
 
@@ -135,6 +147,47 @@ def truth_shard(plan: FloorPlan, reflects: NDArray[np.bool_]) -> xr.Dataset:
             "heading_rad": plan.agent.heading_rad,
         },
     )
+
+
+def stored_plan(truth: xr.Dataset) -> FloorPlan:
+    """The floor plan that a truth file holds.
+
+    Raises
+    ------
+    FileFormatError
+        If it holds none that can be read.
+    """
+    try:
+        return parse_floorplan(tomllib.loads(truth.attrs["floorplan_toml"]), source="truth.nc")
+    except (KeyError, tomllib.TOMLDecodeError) as error:
+        raise FileFormatError(
+            f"truth.nc: expected a floor plan in floorplan_toml, cannot read it: {error}"
+        ) from error
+
+
+def stored_paths(shard: xr.Dataset, heading_rad: float) -> PathSet:
+    """The paths that :func:`paths_shard` wrote, in the plan frame; epochs count from the shard's first.
+
+    Parameters
+    ----------
+    shard : Dataset
+        A shard of paths.
+    heading_rad : float
+        Heading of the agent in the plan, radians.
+
+    Raises
+    ------
+    FileFormatError
+        If a variable is missing.
+    """
+    try:
+        columns = {name: shard[name].values for name in _PATH_COLUMNS}
+        amplitude = shard["amplitude_re"].values + 1j * shard["amplitude_im"].values
+        valid = shard["path_valid"].values.astype(np.bool_)
+    except KeyError as error:
+        raise FileFormatError(f"paths: expected the variable {error} in the shard, it is missing") from error
+    columns["arrival_azimuth_rad"] = columns["arrival_azimuth_rad"] + heading_rad
+    return PathSet(valid=valid, amplitude=amplitude, **columns)
 
 
 def _complex_pair(

@@ -1,11 +1,11 @@
 """The command `hapslam`.
 
 Each command is a thin face of one function of the estimator or the ray tracer, which
-are imported when the command runs. The ray tracer is needed by `doctor`, `demo` and
-`trace` alone.
+are imported when the command runs; those of datasets and of the service are in modules
+of their own.
 
-Exit status: 0 when all went well, 1 when `doctor` found something bad or the system
-refused (no space, no permission), 2 when the input was bad. Errors are one line on
+Exit status: 0 when all went well, 1 when `doctor`, `verify` or `info` found something
+bad or the system refused (no space, no permission), 2 when the input was bad. Errors are one line on
 the standard error.
 """
 
@@ -23,6 +23,7 @@ import typer
 from rich.console import Console
 
 from estimator.errors import HapslamError
+from service.cli_dataset import register as register_datasets
 from service.cli_service import register
 from service.progress import Reporter
 
@@ -115,22 +116,6 @@ def demo(
         print_evaluation(numbers, Console(), picture=folder / "map.png")
 
 
-@app.command(epilog=_examples("trace l-room --out room", "trace my-plan.toml --out mine --seed 7"))
-def trace(
-    scene: Annotated[str, typer.Argument(help="Name of a shipped scene, or a floor plan file.")],
-    out: Annotated[Path, typer.Option(metavar="DATASET", help="Dataset directory to make.")],
-    seed: Seed = 1,
-    quiet: Quiet = False,
-) -> None:
-    """Trace a floor plan and write a dataset: channels, echoes, paths, truth."""
-    from raytrace.floorplan import load_floorplan
-    from raytrace.generate import generate
-
-    plan = load_floorplan(scene)
-    with Reporter(quiet).stage("trace") as advance:
-        generate(plan, out, seed, advance)
-
-
 @app.command(epilog=_examples("extract room --out room-measurements.nc"))
 def extract(
     dataset: Annotated[Path, typer.Argument(help="Dataset directory.")],
@@ -192,6 +177,7 @@ def plot(
 
 
 register(app)
+register_datasets(app)
 
 
 def print_line(text: str) -> None:

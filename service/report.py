@@ -1,4 +1,4 @@
-"""Figures of merit as a short table for people."""
+"""Figures of merit, and what a dataset holds, as short tables for people."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-__all__ = ["print_evaluation"]
+__all__ = ["print_evaluation", "print_inventory"]
 
 
 def print_evaluation(numbers: Mapping[str, Any], console: Console, **more: object) -> None:
@@ -60,3 +60,46 @@ def _shares(seconds: Mapping[str, float]) -> str:
     total = sum(seconds.values())
     stages = ", ".join(f"{name} {spent:.1f} ({spent / total:.0%})" for name, spent in seconds.items())
     return f"{stages}; {total:.1f} in all"
+
+
+def print_inventory(facts: Mapping[str, Any], console: Console) -> None:
+    """Print what :func:`estimator.inventory.inventory` gives."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    state = "complete" if facts["complete"] else "incomplete: hapslam trace --resume goes on with it"
+    rows = [
+        ("name", f"{facts['name']}, seed {facts['seed']}"),
+        ("state", state),
+        (
+            "epochs",
+            f"{facts['epochs_there']} of {facts['epochs']}, anchors {', '.join(facts['anchors'] or [])}",
+        ),
+        ("passive", f"{_link(facts['radio'])}, as {facts['content']}"),
+        ("echo", _link(facts["echo"]) if facts["sweeps"] else "none"),
+        ("size", f"{facts['bytes'] / 1e6:.1f} MB in {facts['files']} files"),
+    ]
+    if facts["statistics"]:
+        counts = facts["statistics"]["passive"]
+        rows.append(
+            (
+                "paths",
+                f"{counts['found']} of {counts['expected']} found, {counts['missing']} missing, "
+                f"{counts['extra']} extra, {counts['diffuse']} diffuse",
+            )
+        )
+    if facts["versions"]:
+        rows.append(("versions", ", ".join(f"{name} {number}" for name, number in facts["versions"].items())))
+    if facts["damaged"]:
+        rows.append(("DAMAGED", ", ".join(facts["damaged"])))
+    for name, value in rows:
+        table.add_row(name, value)
+    console.print(table)
+
+
+def _link(link: Mapping[str, Any] | None) -> str:
+    if not link:
+        return "none"
+    bandwidth_hz = link["subcarriers"] * link["subcarrier_spacing_hz"]
+    tones = link["subcarriers"] // link["comb"]
+    return f"{link['carrier_hz'] / 1e9:g} GHz, {bandwidth_hz / 1e6:.4g} MHz, {tones} tones"

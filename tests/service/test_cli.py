@@ -17,7 +17,10 @@ from service import cli
 from service.doctor import as_json, machine_findings
 
 Runner = Callable[..., SimpleNamespace]
-COMMANDS = ["doctor", "demo", "trace", "extract", "slam", "evaluate", "plot"]
+COMMANDS = [
+    *("doctor", "demo", "trace", "append", "merge", "verify", "info", "export"),
+    *("extract", "slam", "evaluate", "plot"),
+]
 
 
 def assert_refused(run: SimpleNamespace, *words: str) -> None:

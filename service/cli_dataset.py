@@ -1,0 +1,187 @@
+"""The commands of datasets: `trace`, `append`, `merge`, `verify`, `info`, `export`."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from estimator.errors import ConfigurationError
+from service.progress import Reporter
+
+__all__ = ["register"]
+
+Scene = Annotated[str, typer.Argument(help="Name of a shipped scene, or a floor plan file.")]
+Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="Dataset directory.")]
+Out = Annotated[Path, typer.Option(metavar="DATASET", help="Dataset directory to make.")]
+Jobs = Annotated[int, typer.Option(min=1, help="Processes of this machine that make shards.")]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers make the shards.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+
+_LAYOUTS = ("mat", "deepmimo")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of datasets to the command line."""
+    for command, *examples in (
+        (
+            trace,
+            "trace l-room --out room",
+            "trace my-plan.toml --out mine --seed 7 --jobs 4 --resume",
+            "trace l-room --out part2 --shard-epochs 50 --part 2/3",
+        ),
+        (append, "append room --epochs 240"),
+        (merge, "merge l-room part1 part2 part3 --out room"),
+        (verify, "verify room", "verify room --json"),
+        (info, "info room", "info room --json"),
+        (export, "export room --to mat --out room-matlab", "export room --to deepmimo --out room-deepmimo"),
+    ):
+        app.command(epilog=_examples(*examples))(command)
+
+
+def _examples(*lines: str) -> str:
+    return "[bold]Examples[/]\n\n" + "\n\n".join(f"  $ hapslam {line}" for line in lines)
+
+
+def trace(
+    scene: Scene,
+    out: Out,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 1,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Go on with what an interrupted run left; begin if there is none."),
+    ] = False,
+    part: Annotated[
+        str | None, typer.Option(metavar="I/N", help="Make every N-th shard only, to be merged.")
+    ] = None,
+    shard_epochs: Annotated[
+        int, typer.Option(min=0, help="Epochs in a shard; by default 1024, fewer if they are large.")
+    ] = 0,
+    content: Annotated[
+        str, typer.Option(help="Passive channels as frequency or impulse responses: cfr, cir or both.")
+    ] = "cfr",
+    licence: Annotated[str, typer.Option(help="Terms of use, for the data card.")] = "",
+    quiet: Quiet = False,
+) -> None:
+    """Trace a floor plan and write a dataset: channels, echoes, paths, truth."""
+    from raytrace.floorplan import load_floorplan
+    from raytrace.generate import generate, generate_part
+    from raytrace.output import Output
+    from raytrace.workers import workers
+
+    plan = load_floorplan(scene)
+    output = Output(shard_epochs, content, licence)
+    portion = None if part is None else _part(part)
+    with workers(jobs, scheduler) as crew, Reporter(quiet).stage("trace") as advance:
+        if portion is None:
+            generate(plan, out, seed, advance, output=output, resume=resume, crew=crew)
+        else:
+            generate_part(plan, out, seed, portion, advance, output=output, resume=resume, crew=crew)
+
+
+def append(
+    dataset: Dataset,
+    epochs: Annotated[int, typer.Option(min=2, help="Epochs that it shall have.")],
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    quiet: Quiet = False,
+) -> None:
+    """Let the agent walk on along its way-points; what is there stays."""
+    from raytrace.append import append as run
+    from raytrace.workers import workers
+
+    with workers(jobs, scheduler) as crew, Reporter(quiet).stage("append") as advance:
+        run(dataset, epochs, advance, crew)
+
+
+def merge(
+    scene: Scene,
+    parts: Annotated[list[Path], typer.Argument(metavar="PART...", help="What `trace --part` made.")],
+    out: Out,
+) -> None:
+    """Put parts together that were traced apart."""
+    from raytrace.floorplan import load_floorplan
+    from raytrace.merge import merge as run
+
+    run(load_floorplan(scene), parts, out)
+
+
+def verify(dataset: Dataset, as_json: Json = False, quiet: Quiet = False) -> None:
+    """Compare the paths in the files with the image method; status 1 if one is lost or extra."""
+    from estimator.dataset import open_dataset
+    from raytrace.verify import verify as run
+
+    with Reporter(quiet).stage("verify") as advance:
+        result = run(open_dataset(dataset), advance)
+    if as_json:
+        _print(json.dumps(result.as_dict(), indent=2, allow_nan=False))
+    else:
+        _print(
+            f"paths      {result.found} of {result.expected} found, {result.missing} missing, "
+            f"{result.extra} extra, {result.wrong} wrong"
+        )
+        _print(f"delays     within {1e3 * result.delay_error_m:.3f} mm")
+        _print(f"arrivals   within {result.angle_error_deg:.4f} degrees")
+        _print(
+            f"amplitudes within {result.amplitude_error_db:.3f} dB of Fresnel theory away from corners, "
+            f"{result.amplitude_over} beyond 0.05 dB"
+        )
+        for path in result.named:
+            over = " over " + ", ".join(path["surfaces"]) if path["surfaces"] else ", line of sight"
+            _print(f"{path['fault']:<10} epoch {path['epoch']}, anchor {path['anchor']}{over}")
+    if not result.ok:
+        raise typer.Exit(1)
+
+
+def info(dataset: Dataset, as_json: Json = False) -> None:
+    """Tell what a dataset holds, also while it is being made; status 1 if files are damaged."""
+    from estimator.inventory import inventory
+    from service.report import print_inventory
+
+    facts = inventory(dataset)
+    if as_json:
+        _print(json.dumps(facts, indent=2, allow_nan=False))
+    else:
+        print_inventory(facts, Console())
+    if facts["damaged"]:
+        raise typer.Exit(1)
+
+
+def export(
+    dataset: Dataset,
+    to: Annotated[str, typer.Option(help="mat (MATLAB, Octave) or deepmimo (a scenario's folder).")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to make.")],
+) -> None:
+    """Write a dataset for other software."""
+    from estimator.dataset import open_dataset
+    from raytrace.export_deepmimo import export_deepmimo
+    from raytrace.export_mat import export_mat
+    from raytrace.journal import require_place
+
+    if to not in _LAYOUTS:
+        raise ConfigurationError(f"--to: expected one of {', '.join(_LAYOUTS)}, got {to!r}")
+    opened = open_dataset(dataset)
+    require_place(out)
+    out.mkdir()
+    (export_mat if to == "mat" else export_deepmimo)(opened, out)
+
+
+def _part(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)/(\d+)", text)
+    if match is None:
+        raise ConfigurationError(f"--part: expected I/N, such as 2/4, got {text!r}")
+    return int(match[1]), int(match[2])
+
+
+def _print(text: str) -> None:
+    sys.stdout.write(text + "\n")
