@@ -12,7 +12,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
 from estimator.errors import HapslamError
-from service.errors import ConflictError, refusal
+from service.errors import ConflictError
+from service.refusals import refusal
 
 __all__ = ["PROBLEM_RESPONSES", "install", "problem"]
 

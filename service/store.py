@@ -11,8 +11,8 @@ begins anew.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -119,10 +119,15 @@ def opened(url: URL, lock_timeout_s: float) -> Iterator[Engine]:
 class Step:
     """A session while measurements are taken into it: what was read, and the commit."""
 
-    def __init__(self, connection: Connection, row: Row[Any], writer: Engine | None) -> None:
+    def __init__(
+        self,
+        connection: Connection,
+        row: Row[Any],
+        writing: Callable[[], AbstractContextManager[Connection]] | None,
+    ) -> None:
         self.row = row
         self._connection = connection
-        self._writer = writer
+        self._writing = writing
 
     def known(self, kind: str, first: int, last: int) -> dict[int, str]:
         """The log's entries of a kind with numbers from ``first`` to ``last``."""
@@ -155,11 +160,11 @@ class Step:
         RevisionError
             If the session has moved on since it was read.
         """
-        if self._writer is None:
+        if self._writing is None:
             self._write(self._connection, kind, entries, folded, time_s)
             return
         self._connection.rollback()
-        with self._writer.connect().execution_options(write=True) as connection, connection.begin():
+        with self._writing() as connection:
             self._write(connection, kind, entries, folded, time_s)
 
     def _write(
@@ -204,7 +209,7 @@ class Store:
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
-        self._guard = threading.Lock()
+        self._guard, self._writer = threading.Lock(), threading.Lock()
         self._locks: dict[str, tuple[threading.Lock, int]] = {}
 
     @contextmanager
@@ -222,7 +227,7 @@ class Store:
             row = connection.execute(query.with_for_update() if postgres else query).one_or_none()
             if row is None:
                 raise NotFoundError(_nothing(session_id))
-            yield Step(connection, row, None if postgres else self.engine)
+            yield Step(connection, row, None if postgres else self.writing)
             connection.commit()
 
     @contextmanager
@@ -249,8 +254,17 @@ class Store:
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
-        """A connection whose changes are committed at the end."""
-        with self.engine.connect().execution_options(write=True) as connection, connection.begin():
+        """A connection whose changes are committed at the end.
+
+        SQLite has one writer at a time and lets the others poll; the threads of this process
+        queue up instead, so that none of them starves.
+        """
+        alone = self._writer if self.engine.dialect.name == "sqlite" else nullcontext()
+        with (
+            alone,
+            self.engine.connect().execution_options(write=True) as connection,
+            connection.begin(),
+        ):
             yield connection
 
     def session(self, session_id: str, key_id: str | None, connection: Connection | None = None) -> Row[Any]:
