@@ -17,15 +17,20 @@ import sys
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.console import Console
 
 from estimator.errors import HapslamError
 from service.cli_dataset import register as register_datasets
+from service.cli_experiments import register as register_experiments
+from service.cli_scene import register as register_scenes
 from service.cli_service import register
 from service.progress import Reporter
+
+if TYPE_CHECKING:
+    from estimator.experiments.room import Room
 
 __all__ = ["app", "main"]
 
@@ -176,8 +181,21 @@ def plot(
         Reporter().say(f"hapslam: note: drawn without the truth; {missing}")
 
 
+def _room(scene: str) -> Room:
+    """The room of a scene, as geometry alone."""
+    from estimator.experiments.room import make_room
+    from raytrace.floorplan import load_floorplan
+
+    plan = load_floorplan(scene)
+    step_s = plan.agent.step_m / plan.agent.speed_m_s
+    anchors, track = plan.anchors_m()[:, :2], plan.track()[:, :2]
+    return make_room(plan.name, *plan.walls_m(), anchors, track, plan.radio.carrier_hz, step_s)
+
+
 register(app)
+register_scenes(app)
 register_datasets(app)
+register_experiments(app, _room)
 
 
 def print_line(text: str) -> None:

@@ -1,0 +1,119 @@
+"""The figures that can be reproduced, and what a request for one says.
+
+This module is light: the command line lists the figures without loading what computes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from estimator.errors import ConfigurationError
+from estimator.experiments.montecarlo import Progress, SerialExecutor, map_runs
+
+if TYPE_CHECKING:
+    from estimator.experiments.report import Report
+    from estimator.experiments.room import Room
+
+__all__ = ["FIGURES", "Entry", "Request", "reproduce", "wanted"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A figure of the paper.
+
+    Parameters
+    ----------
+    title : str
+        What it shows.
+    module : str
+        The module of this package with its function ``reproduce``.
+    runs : int
+        Runs of the paper; 0 where nothing is random.
+    methods : tuple of str
+        Methods compared by default; empty where no SLAM is run.
+    """
+
+    title: str
+    module: str
+    runs: int
+    methods: tuple[str, ...] = ()
+
+
+FIGURES = {
+    "fig13": Entry("Errors of localisation and mapping", "methods_compared", 100, ("hybrid", "mva", "va")),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What to reproduce, and by what means.
+
+    Parameters
+    ----------
+    room : Room
+        The truth of the SLAM experiments.
+    runs : int, optional
+        Monte-Carlo runs (points of Fig. 8: each); by default as many as the paper's.
+    seed : int
+        Seed of run 0; run ``i`` has ``seed + i``.
+    methods : sequence of str
+        ``METHOD[+OPTION...]`` each; by default those of the figure.
+    engine : str, optional
+        The engine; by default those that can run the method.
+    particles : int
+        Particles of the ``particle`` engine.
+    executor : Executor
+        Where runs happen.
+    progress : callable, optional
+        Called with (runs done, runs in all).
+    """
+
+    room: Room
+    runs: int | None = None
+    seed: int = 1
+    methods: Sequence[str] = ()
+    engine: str | None = None
+    particles: int = 100_000
+    executor: Executor = field(default_factory=SerialExecutor)
+    progress: Progress | None = None
+
+    def map(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
+        """Results of tasks by the executor, in order; see :func:`map_runs`."""
+        return map_runs(function, tasks, self.executor, self.progress)
+
+
+def wanted(name: str) -> list[str]:
+    """The figures that a name stands for: one, or all of them for ``all``.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such figure; says which there are.
+    """
+    if name == "all":
+        return list(FIGURES)
+    if name not in FIGURES:
+        raise ConfigurationError(f"figure: expected one of {', '.join(FIGURES)}, all, got {name!r}")
+    return [name]
+
+
+def reproduce(name: str, request: Request) -> Report:
+    """Reproduce one figure.
+
+    Raises
+    ------
+    ConfigurationError
+        If the figure, a method or an engine is unknown, or the number of runs not positive.
+    """
+    (name,) = wanted(name) if name != "all" else ("",)
+    if not name:
+        raise ConfigurationError(f"figure: expected one of {', '.join(FIGURES)}, got 'all'")
+    if request.runs is not None and request.runs < 1:
+        raise ConfigurationError(f"runs: expected 1 or more, got {request.runs}")
+    module = import_module(f"estimator.experiments.{FIGURES[name].module}")
+    report: Report = module.reproduce(name, FIGURES[name], request)
+    return report
