@@ -44,6 +44,10 @@ class Entry:
 
 
 FIGURES = {
+    "fig7": Entry("Distribution of the estimated distance", "range_distribution", 10_000),
+    "fig8": Entry("Error of the estimated distance and its bound", "range_accuracy", 10_000),
+    "fig9": Entry("Approximation of the distance's bound", "range_bounds", 0),
+    "fig10": Entry("Distribution of the estimated VRP", "vrp_distribution", 10_000),
     "fig13": Entry("Errors of localisation and mapping", "methods_compared", 100, ("hybrid", "mva", "va")),
 }
 
