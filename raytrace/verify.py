@@ -49,7 +49,7 @@ class Verification:
         Found paths whose delay is off by more than a millimetre, or whose arrival by
         more than 0.01 degrees.
     delay_error_m, angle_error_deg : float
-        Largest deviations of delays (as lengths) and directions of arrival.
+        Largest deviations of delays (as lengths) and directions of arrival, as far as these are numbers.
     amplitude_error_db, amplitude_over : float, int
         Largest deviation of a magnitude from Fresnel theory, more than 3 cm from every
         corner, and how many deviate by more than 0.05 dB.
@@ -154,12 +154,17 @@ def _compare(plan: FloorPlan, positions: NDArray[np.float64], stored: PathList, 
         missing=len(lost),
         extra=len(surplus),
         wrong=int(off.sum()),
-        delay_error_m=float(delay_m.max(initial=0.0)),
-        angle_error_deg=float(angle_deg.max(initial=0.0)),
-        amplitude_error_db=float(amplitude_db.max(initial=0.0)),
-        amplitude_over=int(np.sum(amplitude_db > 0.05)),
+        delay_error_m=_largest(delay_m),
+        angle_error_deg=_largest(angle_deg),
+        amplitude_error_db=_largest(amplitude_db),
+        amplitude_over=int(np.sum(~(amplitude_db <= 0.05))),
         named=tuple(named[:_MOST_NAMED]),
     )
+
+
+def _largest(values: NDArray[np.float64]) -> float:
+    """Largest of the values that are numbers; 0 if there is none."""
+    return float(values[np.isfinite(values)].max(initial=0.0))
 
 
 def _keys(plan: FloorPlan, paths: PathList) -> NDArray[np.int64]:

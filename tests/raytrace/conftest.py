@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
 import pytest
 
+from estimator.dataset import Dataset
 from raytrace.floorplan import FloorPlan, load_floorplan
+from raytrace.generate import generate
+from raytrace.output import Output
 from raytrace.passive import TraceReport, trace_passive
 from raytrace.paths import PathSet
 from raytrace.scene import RadioScene, build_scene
@@ -28,3 +35,33 @@ def l_room() -> Traced:
 def hard_room() -> Traced:
     """The same of the L-room with floor, ceiling and scattering."""
     return _trace("l-room-hard")
+
+
+@pytest.fixture(scope="session")
+def short_plan() -> FloorPlan:
+    """The L-room with forty epochs, three sweeps and two antennas."""
+    return load_floorplan("l-room").updated(
+        {"agent.epochs": 40, "echo.sweep_epochs": [0, 12, 39], "radio.agent_array.elements": 2}
+    )
+
+
+@pytest.fixture(scope="session")
+def cut() -> Output:
+    """Shards of ten epochs, with frequency and impulse responses."""
+    return Output(shard_epochs=10, content="both")
+
+
+@pytest.fixture(scope="session")
+def sharded(short_plan: FloorPlan, cut: Output, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """The short walk as a dataset of four shards, made at once by one process; not to be changed."""
+    return generate(short_plan, tmp_path_factory.mktemp("sharded") / "room", seed=1, output=cut).dataset
+
+
+@pytest.fixture(scope="session")
+def digests() -> Callable[[Path], dict[str, str]]:
+    """SHA-256 of every file of a folder, by name."""
+
+    def hashes(folder: Path) -> dict[str, str]:
+        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}
+
+    return hashes
