@@ -111,8 +111,9 @@ def image_paths(
     anchors_m : array_like, shape (k, 3), optional
         Anchors, metres; by default the plan's.
     rim_m : float
-        Bounces closer than this to the rim of their surface are left out: there the
-        corner decides, not the surface.
+        Paths that bounce closer than this to the rim of a surface, or pass closer by
+        one, are left out: there the rim decides, not the surface. If it is negative, those
+        are included that miss a surface, or an opening, by no more.
     leg_m : float
         Paths with a leg shorter than this are left out: both its ends are at one corner.
 
@@ -149,7 +150,7 @@ def _paths_of_order(
     parts = []
     for first in range(0, len(positions), block):
         epoch, row, vertices = _unfold(surfaces, positions[first : first + block], anchor, sequences, rim_m)
-        clear = ~np.any(_blocked(surfaces, vertices[:, :-1], vertices[:, 1:]), axis=1)
+        clear = ~np.any(_blocked(surfaces, vertices[:, :-1], vertices[:, 1:], rim_m), axis=1)
         clear &= np.all(np.linalg.norm(np.diff(vertices, axis=1), axis=-1) >= leg_m, axis=1)
         parts.append((epoch[clear] + first, sequences[row[clear]], vertices[clear]))
     epoch, hit, vertices = (np.concatenate(columns) for columns in zip(*parts, strict=True))
@@ -224,8 +225,8 @@ def _on_rectangle(
     return np.asarray(within.all(axis=-1))
 
 
-def _blocked(surfaces: Surfaces, start: Array, end: Array) -> NDArray[np.bool_]:
-    """Whether legs (paths, legs, 3) meet any surface between their ends, shape (paths, legs)."""
+def _blocked(surfaces: Surfaces, start: Array, end: Array, rim_m: float) -> NDArray[np.bool_]:
+    """Whether legs (paths, legs, 3) meet any surface, grown by a rim, between their ends; (paths, legs)."""
     start, towards = start[..., None, :], (end - start)[..., None, :]
     slope = np.sum(towards * surfaces.normal, axis=-1)
     gap = np.sum((surfaces.origin - start) * surfaces.normal, axis=-1)
@@ -233,4 +234,4 @@ def _blocked(surfaces: Surfaces, start: Array, end: Array) -> NDArray[np.bool_]:
         fraction = gap / slope
     inside = (fraction > _TIP) & (fraction < 1.0 - _TIP)
     point = start + np.where(inside, fraction, 0.0)[..., None] * towards
-    return np.asarray(np.any(inside & _on_rectangle(surfaces, slice(None), point, _RIM_M), axis=-1))
+    return np.asarray(np.any(inside & _on_rectangle(surfaces, slice(None), point, rim_m), axis=-1))

@@ -6,9 +6,10 @@ compiles a kernel. In a large batch the solver drops a few paths of two and more
 bounces: it recognises candidates that it has seen by a hash, and hashes collide. The
 image method says what there should be; positions that miss something are traced
 again, repeated until they fill a batch, which gives every path several other hashes,
-then with more rays. Paths that bounce within a millimetre of a corner are not
-expected, for there the tracer's single precision decides; nor are those with a leg of
-less than a centimetre (two bounces at one corner), which the tracer leaves out.
+then with more rays. Paths that bounce within a millimetre of a corner, or pass one so
+closely, are not expected, for there the tracer's single precision decides, and not extra
+if they are found; nor are those with a leg of less than a centimetre (two bounces at one
+corner), which the tracer leaves out.
 """
 
 from __future__ import annotations
@@ -43,9 +44,9 @@ class TraceReport:
     Parameters
     ----------
     expected : int
-        Paths that the image method gives and that do not bounce at a corner (within a
-        millimetre, or twice within a centimetre), plus those of the latter that were
-        traced.
+        Paths that the image method gives and that are not decided at a corner (to a
+        millimetre, or by two bounces within a centimetre), plus those of the latter that
+        were traced.
     found : int
         Traced paths among them.
     missing, extra : int
@@ -119,7 +120,7 @@ def trace_specular(
     expected, traced = keys(exact), keys(paths)
     unexpected = np.setdiff1d(traced, expected)
     if unexpected.size:
-        at_corners = keys(image_paths(plan, positions_m, depth, sources_m).flat())
+        at_corners = keys(image_paths(plan, positions_m, depth, sources_m, rim_m=-RIM_M).flat())
         expected = np.union1d(expected, np.intersect1d(unexpected, at_corners))
     found = np.intersect1d(expected, traced).size
     report = TraceReport(

@@ -2,8 +2,8 @@
 
 The image method constructs the paths anew from the plan in the truth file, and every
 path in the files is looked for among them, and the other way round. Hashes of all
-shards are checked on the way. As in generation, paths that bounce at a corner (within
-a millimetre, or twice within a centimetre) may or may not have been traced.
+shards are checked on the way. As in generation, paths that are decided at a corner (to a
+millimetre, or by two bounces within a centimetre) may or may not have been traced.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def verify(dataset: Dataset, progress: Progress | None = None) -> Verification:
 
 def _compare(plan: FloorPlan, positions: NDArray[np.float64], stored: PathList, first: int) -> Verification:
     """Paths in a shard against those of the image method; epochs of both count from the shard's first."""
-    every = image_paths(plan, positions).flat()
+    every = image_paths(plan, positions, rim_m=-RIM_M).flat()
     owed = image_paths(plan, positions, rim_m=RIM_M, leg_m=LEG_M).flat()
     keys = {name: _keys(plan, paths) for name, paths in (("all", every), ("owed", owed), ("got", stored))}
     lost = owed.select(~np.isin(keys["owed"], keys["got"]))

@@ -200,3 +200,18 @@ def test_walls_are_padded_to_the_depth(depth: int) -> None:
     assert paths.walls.shape[-1] == max(depth, 1)
     flat = paths.flat()
     np.testing.assert_array_equal(np.sum(flat.walls != NO_SURFACE, axis=1), flat.order)
+
+
+def test_paths_at_a_corner_are_told_apart_by_the_rim() -> None:
+    """A bounce 0.4 mm beyond the end of its wall exists with a rim of -1 mm alone; others do not change.
+
+    The agent stands where the double reflection over "north-left" and "east" is just about to appear.
+    """
+    plan = load_floorplan("l-room")
+    place = np.array([[51.66369971, 10.83363003, 1.5]])
+    strict, usual, lenient = (
+        image_paths(plan, place, 2, plan.anchors_m()[1:], rim_m=rim).flat() for rim in (1e-3, 1e-6, -1e-3)
+    )
+    walls = [{tuple(row) for row in paths.walls.tolist()} for paths in (strict, usual, lenient)]
+    assert walls[0] == walls[1]
+    assert walls[2] - walls[1] == {(5, 2)}
