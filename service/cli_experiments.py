@@ -93,9 +93,17 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         summaries: dict[str, Any] = {}
         with open_executor(jobs, scheduler) as executor:
             for name in names:
+                slam = figure != "all" or bool(FIGURES[name].methods)  # of all, some run no SLAM
                 with reporter.stage(name) as advance:
                     request = catalogue.Request(
-                        room, runs, seed, chosen, engine, particles, executor, advance
+                        room,
+                        runs,
+                        seed,
+                        chosen if slam else (),
+                        engine if slam else None,
+                        particles,
+                        executor,
+                        advance,
                     )
                     report = catalogue.reproduce(name, request)
                     write_report(report, out)

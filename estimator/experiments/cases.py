@@ -142,9 +142,13 @@ def cases_of(methods: Sequence[str], engine: str | None, every_engine: bool = Tr
 
 
 def limit_of(room: Room, case: Case) -> Limit | None:
-    """The bound of what a case measures; None for a method that hears no paths."""
+    """The bound of what a case measures.
+
+    None for a method that hears no paths, and for one that knows neither a wall nor an anchor at the start:
+    its map may turn by any angle, and a bound linearised about the truth means nothing.
+    """
     setting, simulation = case.setting, case.simulation
-    if not setting.paths:
+    if not setting.paths or setting.anchors == "ring":
         return None
     sensing = Sensing(
         range_std_m=simulation.range_std_m,

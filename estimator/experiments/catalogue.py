@@ -48,7 +48,12 @@ FIGURES = {
     "fig8": Entry("Error of the estimated distance and its bound", "range_accuracy", 10_000),
     "fig9": Entry("Approximation of the distance's bound", "range_bounds", 0),
     "fig10": Entry("Distribution of the estimated VRP", "vrp_distribution", 10_000),
+    "fig11": Entry(
+        "Rotation of the map with and without active sensing", "rotation", 1, ("passive", "hybrid")
+    ),
+    "fig12": Entry("Walls refined and found by passive sensing", "wall_refinement", 1, ("hybrid",)),
     "fig13": Entry("Errors of localisation and mapping", "methods_compared", 100, ("hybrid", "mva", "va")),
+    "fig14": Entry("Maps of a single run", "single_run", 1, ("va", "mva", "hybrid")),
 }
 
 
@@ -111,13 +116,15 @@ def reproduce(name: str, request: Request) -> Report:
     Raises
     ------
     ConfigurationError
-        If the figure, a method or an engine is unknown, or the number of runs not positive.
+        If the figure, a method or an engine is unknown or without meaning for the figure, or the
+        number of runs not positive.
     """
-    (name,) = wanted(name) if name != "all" else ("",)
-    if not name:
-        raise ConfigurationError(f"figure: expected one of {', '.join(FIGURES)}, got 'all'")
+    if name not in FIGURES:
+        raise ConfigurationError(f"figure: expected one of {', '.join(FIGURES)}, got {name!r}")
     if request.runs is not None and request.runs < 1:
         raise ConfigurationError(f"runs: expected 1 or more, got {request.runs}")
+    if (request.methods or request.engine) and not FIGURES[name].methods:
+        raise ConfigurationError(f"methods, engine: expected none for {name}, which runs no SLAM")
     module = import_module(f"estimator.experiments.{FIGURES[name].module}")
     report: Report = module.reproduce(name, FIGURES[name], request)
     return report

@@ -17,7 +17,7 @@ from estimator.result import SlamResult
 from estimator.slam.particle_config import ParticleConfig
 from estimator.slam.run import config_for, run_slam
 
-__all__ = ["Run", "Score", "perform", "score", "slam_of", "unmirrored"]
+__all__ = ["Run", "Score", "perform", "score", "slam_of", "unmirrored", "watch"]
 
 Array = NDArray[np.float64]
 
@@ -96,7 +96,14 @@ def slam_of(run: Run) -> SlamResult:
 
 
 def perform(run: Run) -> Score:
-    """Run and judge.
+    """Run and judge; raises as :func:`watch`."""
+    return watch(run)[1]
+
+
+def watch(run: Run) -> tuple[SlamResult, Score]:
+    """The estimates of a run and how it went.
+
+    Of a method that cannot tell a map from its mirror image, the better one is judged.
 
     Raises
     ------
@@ -110,9 +117,9 @@ def perform(run: Run) -> Score:
         error.add_note(f"in the run of {run.case.key} with seed {run.seed}")
         raise
     seconds = time.process_time() - begin
-    if run.case.setting.anchors == "ring":
-        result = unmirrored(result, run.room)
-    return score(result, run.room, seconds)
+    blind = run.case.setting.anchors == "ring"
+    judged = unmirrored(result, run.room) if blind else result
+    return result, score(judged, run.room, seconds)
 
 
 def unmirrored(result: SlamResult, room: Room) -> SlamResult:
