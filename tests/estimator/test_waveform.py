@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from estimator.errors import ConfigurationError
-from estimator.waveform import BOLTZMANN_J_PER_K, SPEED_OF_LIGHT_M_S, OfdmGrid, free_space_loss_db
+from estimator.waveform import (
+    BOLTZMANN_J_PER_K,
+    SPEED_OF_LIGHT_M_S,
+    OfdmGrid,
+    free_space_loss_db,
+    frequency_response,
+    impulse_response,
+)
 
 GRID = OfdmGrid(carrier_hz=28e9, subcarrier_spacing_hz=120e3, subcarriers=3276, comb=4, symbols=12)
 
@@ -86,3 +93,25 @@ def test_bad_grids_are_refused(change: dict[str, float], message: str) -> None:
     }
     with pytest.raises(ConfigurationError, match=message):
         OfdmGrid(**{**fields, **change})
+
+
+def test_taps_are_the_inverse_of_tones() -> None:
+    """Back and forth gives the CFR again; a path on a tap is that tap alone, with its amplitude."""
+    grid = OfdmGrid(28e9, 120e3, 3276, comb=4)
+    rng = np.random.default_rng(8)
+    cfr = rng.standard_normal((3, 2, grid.tones)) + 1j * rng.standard_normal((3, 2, grid.tones))
+    np.testing.assert_allclose(frequency_response(impulse_response(cfr, grid), grid), cfr, atol=1e-12)
+    delay = grid.taps_s()[17]
+    cir = impulse_response(0.3j * np.exp(-2j * np.pi * grid.offsets_hz() * delay), grid)
+    expected = np.zeros(grid.tones, dtype=np.complex128)
+    expected[17] = 0.3j
+    np.testing.assert_allclose(cir, expected, atol=1e-12)
+
+
+def test_noise_on_taps() -> None:
+    """Noise of variance v on every tone is noise of variance v / tones on every tap (Parseval)."""
+    grid = OfdmGrid(28e9, 120e3, 400)
+    rng = np.random.default_rng(9)
+    noise = (rng.standard_normal((200, 400)) + 1j * rng.standard_normal((200, 400))) / np.sqrt(2.0)
+    variance = np.mean(np.abs(impulse_response(noise, grid)) ** 2)
+    assert variance == pytest.approx(1.0 / 400, rel=5 / np.sqrt(noise.size))
