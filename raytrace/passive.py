@@ -8,8 +8,8 @@ image method says what there should be; positions that miss something are traced
 again, repeated until they fill a batch, which gives every path several other hashes,
 then with more rays. Paths that bounce within a millimetre of a corner, or pass one so
 closely, are not expected, for there the tracer's single precision decides, and not extra
-if they are found; nor are those with a leg of less than a centimetre (two bounces at one
-corner), which the tracer leaves out.
+if they are found; nor are those with a leg of about a centimetre or less (two bounces at
+one corner), which the tracer leaves out.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ __all__ = ["LEG_M", "RIM_M", "TraceReport", "trace_passive", "trace_specular"]
 
 _BATCH = 256
 RIM_M = 1e-3
-# The tracer's own limit is 10 mm, in single precision.
-LEG_M = 10.1e-3
+# The tracer's own limit is 10 mm; its single precision misjudges by up to a millimetre.
+LEG_M = 12e-3
 # Rays of the repeated attempts, as multiples of the plan's.
 _RETRIES = (1, 1, 4, 16)
 

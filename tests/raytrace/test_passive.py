@@ -125,7 +125,7 @@ def test_two_bounces_at_one_corner_are_not_waited_for() -> None:
     """
     plan = load_floorplan("l-room")
     place = plan.updated({"agent.step_m": 0.08, "agent.epochs": 629}).track()[628:]
-    every, long_legs = (image_paths(plan, place, 2, plan.anchors_m()[:1], 1e-3, leg) for leg in (0.0, 0.0101))
+    every, long_legs = (image_paths(plan, place, 2, plan.anchors_m()[:1], 1e-3, leg) for leg in (0.0, 0.012))
     assert every.valid.sum() == long_legs.valid.sum() + 2
     radio = build_scene(plan, plan.radio.carrier_hz)
     _, report = trace_specular(plan, radio, plan.anchors_m()[:1], place, 2)
