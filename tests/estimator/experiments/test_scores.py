@@ -1,0 +1,236 @@
+"""How runs are judged and summed up: against runs with known errors, and against planted faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimator.experiments.cases import Case, limit_of
+from estimator.experiments.montecarlo import SerialExecutor, map_runs
+from estimator.experiments.room import Room
+from estimator.experiments.runs import Run, Score, perform, score, slam_of, unmirrored
+from estimator.experiments.summary import (
+    converged_step,
+    limit_curves,
+    mean_of,
+    rms_of,
+    score_curves,
+    summarise,
+)
+from estimator.geometry import rotate
+from estimator.result import SlamResult
+from estimator.slam import engine, update
+
+HYBRID = Case("hybrid", "gaussian")
+
+
+@pytest.fixture(scope="module")
+def perfect(walk: Callable[..., Room]) -> tuple[Room, SlamResult]:
+    """A room and a result that equals its truth, with covariances of 1 cm^2; the fifth wall comes at 100."""
+    room = walk()
+    result = slam_of(Run(walk(3), HYBRID, 1, 10))
+    steps, walls = room.steps, 5
+    agent = np.zeros((steps, 4))
+    agent[:, :2] = room.track_m
+    small = 1e-4 * np.eye(2)
+    valid = np.ones((steps, walls), dtype=bool)
+    valid[:100, 4] = False
+    return room, replace(
+        result,
+        agent_mean=agent,
+        agent_covariance=np.tile(1e-4 * np.eye(4), (steps, 1, 1)),
+        anchor_mean_m=np.tile(room.anchors_m, (steps, 1, 1)),
+        anchor_covariance_m2=np.tile(small, (steps, 2, 1, 1)),
+        wall_valid=valid,
+        wall_mean_m=np.tile(room.scenario.vrps_m[:5], (steps, 1, 1)),
+        wall_covariance_m2=np.tile(small, (steps, 5, 1, 1)),
+    )
+
+
+def test_a_perfect_run_has_no_errors(perfect: tuple[Room, SlamResult]) -> None:
+    """Truth as estimate gives zeros; the fifth wall's delay counts from its first reflection."""
+    room, result = perfect
+    judged = score(result, room)
+    assert judged.error_m.max() == 0.0
+    assert judged.derotated_m.max() < 1e-12
+    assert judged.walls_false == 0
+    assert not judged.lost
+    first = int(np.argmax(room.reflects[:, 4]))
+    assert judged.wall_delays == (100.0 - first,)
+    missing = np.arange(room.steps)
+    expected = np.where((missing >= first) & (missing < 100), 10.0 / 5.0, 0.0)
+    np.testing.assert_allclose(judged.ospa_m, expected, atol=1e-12)
+
+
+def test_rotation_is_told_from_other_errors(perfect: tuple[Room, SlamResult]) -> None:
+    """A map turned by 10 mrad errs by distance times angle, and not at all with the rotation removed."""
+    room, result = perfect
+    agent = result.agent_mean.copy()
+    agent[:, :2] = rotate(agent[:, :2], 0.01)
+    judged = score(replace(result, agent_mean=agent, wall_mean_m=rotate(result.wall_mean_m, 0.01)), room)
+    assert judged.rotation_rad == pytest.approx(0.01)
+    assert judged.derotated_m.max() < 1e-9
+    np.testing.assert_allclose(
+        judged.error_m, 2.0 * np.sin(0.005) * np.linalg.norm(room.track_m, axis=1), atol=1e-12
+    )
+    assert judged.walls_false == 0
+
+
+def test_a_mirrored_map_is_recognised(perfect: tuple[Room, SlamResult]) -> None:
+    """The mirror image of a turned perfect map becomes perfect again but for the rotation."""
+    room, result = perfect
+    flip = np.array([1.0, -1.0])
+    agent = result.agent_mean.copy()
+    agent[:, :2] = rotate(agent[:, :2] * flip, 0.7)
+    twin = replace(result, agent_mean=agent, wall_mean_m=rotate(result.wall_mean_m * flip, 0.7))
+    assert score(twin, room).lost
+    judged = score(unmirrored(twin, room), room)
+    assert judged.derotated_m.max() < 1e-9
+    assert judged.walls_false == 0
+
+
+def test_a_wall_that_is_none_is_false_and_a_missing_one_never_found(
+    perfect: tuple[Room, SlamResult],
+) -> None:
+    """A VRP moved by 20 m makes a false wall, and its true one counts as not found."""
+    room, result = perfect
+    moved = result.wall_mean_m.copy()
+    moved[:, 4] += (20.0, 0.0)
+    judged = score(replace(result, wall_mean_m=moved), room)
+    assert judged.walls_false == 1
+    assert judged.wall_delays == (np.inf,)
+
+
+def _scores(errors: np.ndarray, delays: tuple[float, ...] = (5.0,)) -> list[Score]:
+    steps = np.ones(4)
+    return [Score(e * steps, e * steps, e**2 * steps, e * steps, 0.0, 0, delays, 1.0) for e in errors]
+
+
+def test_standard_errors_are_those_of_many_repetitions() -> None:
+    """The claimed Monte-Carlo errors of mean and RMS agree with the spread over 2000 repetitions."""
+    samples = np.abs(np.random.default_rng(1).normal(size=(2000, 50)))
+    for statistic in (mean_of, rms_of):
+        values, errors = np.array([statistic(row) for row in samples], dtype=float).T
+        spread = values.std(ddof=1)
+        # the spread itself is known to 1 / sqrt(2 n); squares of the claims are averaged
+        assert np.sqrt(np.mean(errors**2)) == pytest.approx(spread, rel=5.0 / np.sqrt(2 * 2000) + 0.02)
+
+
+def test_summary_of_known_scores(walk: Callable[..., Room]) -> None:
+    """Means, RMS, medians and counts of made-up runs are what they are; one run has no standard error."""
+    room = walk(4)
+    numbers = summarise(_scores(np.array([0.3, 0.5])), None, room)
+    assert numbers["runs"] == 2
+    assert numbers["lost"] == 0
+    assert numbers["mae_final_m"] == pytest.approx(0.4)
+    assert numbers["mae_final_m_se"] == pytest.approx(0.1)
+    assert numbers["rmse_final_m"] == pytest.approx(np.sqrt(0.17))
+    assert numbers["converged_step"] == 1
+    assert numbers["new_wall_delay_median"] == 5.0
+    assert numbers["limit"] is None
+    single = summarise(_scores(np.array([2.0])), None, room)
+    assert single["lost"] == 1
+    assert single["mae_final_m_se"] is None
+    assert single["converged_step"] is None
+    assert summarise(_scores(np.array([1.0]), (np.inf,)), None, room)["new_wall_delay_median"] is None
+
+
+def test_convergence_counts_steps_from_one() -> None:
+    """The first step below 0.7 m counts, from 1 as the paper's t does."""
+    assert converged_step([1.0, 0.8, 0.6, 0.9]) == 3
+
+
+def test_the_limits_curve_starts_at_the_sensed_walls(walk: Callable[..., Room]) -> None:
+    """Nothing but active sensing is known of the walls before the paths: the OSPA limit falls from there."""
+    room = walk(30)
+    limit = limit_of(room, HYBRID)
+    assert limit is not None
+    curve = limit_curves(limit, room)["vrp_ospa_m"]
+    rayleigh = np.mean(np.sqrt(0.5 * np.pi * np.array(room.sensed_variances_m2)))
+    assert 0.3 * rayleigh < curve[0] < rayleigh
+    assert curve[-1] < curve[0]
+
+
+# What follows is the short form of the acceptance of the joint filter: it must pass, and it must fail
+# for a filter that is wrong.
+
+LONG, SHORT = (10, 50), (3, 30)  # runs and steps; gross faults show in the shorter
+
+
+def _faults(room: Room, runs: int) -> list[str]:
+    """Why the runs are not those of a right filter; tolerances are four Monte-Carlo standard errors."""
+    tasks = [Run(room, HYBRID, 100 + i, 10) for i in range(runs)]
+    scores = map_runs(perform, tasks, SerialExecutor())
+    limit = limit_of(room, HYBRID)
+    assert limit is not None
+    numbers: dict[str, Any] = summarise(scores, limit, room)
+    error = np.array([np.mean(s.derotated_m[20:] ** 2) for s in scores])
+    bound = float(np.mean(limit.derotated_rmse_m[20:] ** 2))
+    nees = np.array([np.nanmean(s.nees) for s in scores])
+    faults = []
+    if numbers["lost"]:
+        faults.append("lost")
+    if error.mean() > 1.2 * bound + 4.0 * error.std(ddof=1) / np.sqrt(runs):
+        faults.append("inaccurate")
+    if not 0.65 < nees.mean() < 1.5:
+        faults.append("inconsistent")
+    if score_curves(scores)["vrp_ospa_m"][-1] > 1.2:
+        faults.append("map")
+    return faults
+
+
+@pytest.mark.parametrize(("runs", "steps"), [LONG, SHORT])
+def test_the_joint_filter_is_accepted(walk: Callable[..., Room], runs: int, steps: int) -> None:
+    """A short Monte-Carlo run of the Gaussian engine meets the limit and is consistent."""
+    assert _faults(walk(steps), runs) == []
+
+
+def test_a_doubled_covariance_is_refused(walk: Callable[..., Room], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A filter that claims twice its variance is found out by its NEES alone."""
+    honest = engine.GaussianEngine.estimate
+
+    def timid(self: engine.GaussianEngine, state: Any) -> Any:
+        said = honest(self, state)
+        return replace(said, agent_covariance=2.0 * said.agent_covariance)
+
+    monkeypatch.setattr(engine.GaussianEngine, "estimate", timid)
+    runs, steps = LONG
+    assert _faults(walk(steps), runs) == ["inconsistent"]
+
+
+def test_a_wrong_sign_of_a_derivative_is_refused(
+    walk: Callable[..., Room], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A filter whose path lengths shrink where they should grow with the agent's x is found out."""
+    right = update.predict_paths
+
+    def wrong(mean: Any, layout: Any) -> Any:
+        predicted = right(mean, layout)
+        jacobian = predicted.jacobian.copy()
+        jacobian[..., 0] *= -1.0
+        return replace(predicted, jacobian=jacobian)
+
+    monkeypatch.setattr(update, "predict_paths", wrong)
+    runs, steps = SHORT
+    assert _faults(walk(steps), runs)
+
+
+def test_swapped_anchors_are_refused(walk: Callable[..., Room], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Paths that change their anchors half-way are found out."""
+    measure = Room.measure
+
+    def swapped(self: Room, *arguments: Any, **more: Any) -> Any:
+        said = measure(self, *arguments, **more)
+        epochs = [
+            replace(epoch, paths=epoch.paths[::-1]) if epoch.index >= SHORT[1] // 2 else epoch
+            for epoch in said.epochs
+        ]
+        return replace(said, epochs=tuple(epochs))
+
+    monkeypatch.setattr(Room, "measure", swapped)
+    runs, steps = SHORT
+    assert _faults(walk(steps), runs)
