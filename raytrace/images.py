@@ -113,7 +113,8 @@ def image_paths(
     rim_m : float
         Paths that bounce closer than this to the rim of a surface, or pass closer by
         one, are left out: there the rim decides, not the surface. If it is negative, those
-        are included that miss a surface, or an opening, by no more.
+        are included that miss a surface, or an opening, by no more. It is measured across
+        the ray: along a surface that is grazed it is longer.
     leg_m : float
         Paths with a leg shorter than this are left out: both its ends are at one corner.
 
@@ -208,19 +209,21 @@ def _unfold(
         gap = np.sum((surfaces.origin[wall] - vertices[0]) * normal, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
             fraction = gap / slope
+            margin = -rim_m * np.linalg.norm(towards, axis=-1) / np.abs(slope)
         point = vertices[0] + np.where(np.isfinite(fraction), fraction, 0.0)[:, None] * towards
-        on = (fraction > _TIP) & (fraction < 1.0 - _TIP) & _on_rectangle(surfaces, wall, point, -rim_m)
+        on = (fraction > _TIP) & (fraction < 1.0 - _TIP) & _on_rectangle(surfaces, wall, point, margin)
         epoch, row = epoch[on], row[on]
         vertices = [point[on], *(vertex[on] for vertex in vertices)]
     return epoch, row, np.stack([np.broadcast_to(anchor, vertices[0].shape), *vertices], axis=1)
 
 
 def _on_rectangle(
-    surfaces: Surfaces, index: NDArray[np.int64] | slice, points: Array, margin_m: float
+    surfaces: Surfaces, index: NDArray[np.int64] | slice, points: Array, margin_m: Array
 ) -> NDArray[np.bool_]:
     """Whether points in the planes of surfaces ``index`` lie on the rectangles, grown by a margin."""
     offset = points - surfaces.origin[index]
     along = np.einsum("...d,...sd->...s", offset, surfaces.sides[index])
+    margin_m = margin_m[..., None]
     within = (along >= -margin_m) & (along <= surfaces.lengths[index] + margin_m)
     return np.asarray(within.all(axis=-1))
 
@@ -232,6 +235,7 @@ def _blocked(surfaces: Surfaces, start: Array, end: Array, rim_m: float) -> NDAr
     gap = np.sum((surfaces.origin - start) * surfaces.normal, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         fraction = gap / slope
+        margin = rim_m * np.linalg.norm(towards, axis=-1) / np.abs(slope)
     inside = (fraction > _TIP) & (fraction < 1.0 - _TIP)
     point = start + np.where(inside, fraction, 0.0)[..., None] * towards
-    return np.asarray(np.any(inside & _on_rectangle(surfaces, slice(None), point, rim_m), axis=-1))
+    return np.asarray(np.any(inside & _on_rectangle(surfaces, slice(None), point, margin), axis=-1))

@@ -32,7 +32,7 @@ RIM_M = 1e-3
 # The tracer's own limit is 10 mm; its single precision misjudges by up to a millimetre.
 LEG_M = 12e-3
 # Rays of the repeated attempts, as multiples of the plan's.
-_RETRIES = (1, 1, 4, 16)
+_RETRIES = (1, 1, 4, 16, 64)
 
 Array = NDArray[np.float64]
 

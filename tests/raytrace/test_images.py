@@ -166,6 +166,23 @@ def test_rim_leaves_out_what_a_corner_decides() -> None:
     assert 0 not in walls[1]
 
 
+def test_rim_is_measured_across_the_ray() -> None:
+    """A bounce 5 mm from the end of a grazed wall passes it by half a millimetre: it is left out."""
+    data = shoebox().model_dump(mode="json", exclude_none=True)
+    screen = {"name": "screen", "from_m": [2.0, 3.0], "to_m": [4.0, 3.0], "height_m": 3.0}
+    plan = parse_floorplan({**data, "walls": [*data["walls"], screen]})
+    number = len(data["walls"])
+    slope = 0.1
+    for before_end, rims in ((0.005, (True, False)), (0.1, (True, True))):
+        x = 4.0 - before_end
+        start = np.array([[x - 0.3 / slope, 2.7, 1.5]])
+        agent = np.array([[x + 0.3 / slope, 2.7, 1.5]])
+        seen = [
+            number in image_paths(plan, agent, 1, start, rim_m=rim).flat().walls[:, 0] for rim in (1e-6, 1e-3)
+        ]
+        assert seen == list(rims)
+
+
 def test_planar_method_agrees() -> None:
     """The estimator's own planar image method gives the same paths, lengths apart from the heights."""
     plan = load_floorplan("l-room")
