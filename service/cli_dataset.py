@@ -1,4 +1,4 @@
-"""The commands of datasets: `trace`, `append`, `merge`, `verify`, `info`, `export`."""
+"""The commands of datasets: `trace`, `campaign`, `append`, `merge`, `verify`, `info`, `export`."""
 
 from __future__ import annotations
 
@@ -38,6 +38,7 @@ def register(app: typer.Typer) -> None:
             "trace my-plan.toml --out mine --seed 7 --jobs 4 --resume",
             "trace l-room --out part2 --shard-epochs 50 --part 2/3",
         ),
+        (campaign, "campaign rooms.toml --out rooms", "campaign rooms.toml --out rooms --jobs 4"),
         (append, "append room --epochs 240"),
         (merge, "merge l-room part1 part2 part3 --out room"),
         (verify, "verify room", "verify room --json"),
@@ -87,6 +88,22 @@ def trace(
             generate(plan, out, seed, advance, output=output, resume=resume, crew=crew)
         else:
             generate_part(plan, out, seed, portion, advance, output=output, resume=resume, crew=crew)
+
+
+def campaign(
+    file: Annotated[Path, typer.Argument(help="Campaign file (TOML): scenes, seeds, set-ups.")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the datasets.")],
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    quiet: Quiet = False,
+) -> None:
+    """Trace many scenes, set-ups and seeds; what was broken off goes on."""
+    from raytrace.campaign import run_campaign
+    from raytrace.workers import workers
+
+    with workers(jobs, scheduler) as crew, Reporter(quiet).stage("campaign") as advance:
+        for dataset in run_campaign(file, out, advance, crew):
+            _print(str(dataset))
 
 
 def append(
