@@ -34,6 +34,7 @@ __all__ = ["SUFFIXES", "Imported", "floorplan_of", "import_floorplan", "read_dra
 SUFFIXES = (".dxf", ".geojson", ".json", ".xml", ".ply")
 
 _MOST_WALLS = 2_000
+_GEOMETRY = ("from_m", "to_m", "thickness_m")
 # Beyond this, single precision of the tracer loses the millimetre.
 _FAR_M = 1_000.0
 
@@ -127,10 +128,10 @@ def floorplan_of(drawing: Drawing, name: str, options: ImportOptions) -> FloorPl
     if not 0 < len(lines) <= _MOST_WALLS:
         raise InputError(f"expected 1 to {_MOST_WALLS} walls, got {len(lines)}")
     walls = [_wall(line, number) for number, line in enumerate(lines, 1)]
-    start, end = (np.array([wall[key] for wall in walls]) for key in ("from_m", "to_m"))
+    start, end, thickness = (np.array([wall[key] for wall in walls]) for key in _GEOMETRY)
     report.notes.append(f"{len(walls)} walls of {sum(line.length_m for line in lines):.1f} m in all")
     track = [(x - dx, y - dy) for x, y in drawing.track_m]
-    walk = _given_walk(track) if len(track) > 1 else plan_walk(start, end)
+    walk = _given_walk(track) if len(track) > 1 else plan_walk(start, end, thickness)
     if len(track) < 2:
         report.notes.append(f"no track in the file: one of {len(walk.waypoints_m)} way-points was placed")
     height = max(wall["height_m"] for wall in walls)
@@ -156,7 +157,7 @@ def floorplan_of(drawing: Drawing, name: str, options: ImportOptions) -> FloorPl
         **{slab: {"material": m} for slab in ("floor", "ceiling") if (m := getattr(drawing, slab))},
     }
     if not anchors:
-        places = place_anchors(start, end, np.array(_track_of(walk)))
+        places = place_anchors(start, end, thickness, np.array(_track_of(walk)))
         anchors = [
             {"name": f"pa{number}", "position_m": (float(x), float(y), hung)}
             for number, (x, y) in enumerate(places, 1)

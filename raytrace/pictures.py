@@ -72,7 +72,7 @@ def draw_plan(plan: FloorPlan) -> Figure:
     matplotlib.figure.Figure
     """
     with style():
-        figure, axes = _canvas(plan, plan.description or plan.name)
+        figure, axes = _canvas(plan, plan.name)
         _draw_walls(axes, plan)
         _draw_stations(axes, plan)
         _finish(figure, axes)

@@ -23,8 +23,9 @@ __all__ = ["Walk", "enclosed", "place_anchors", "plan_walk"]
 
 Array = NDArray[np.float64]
 
-# Less than half a door, more than half a wall and what smoothing cuts off a corner.
+# Less than half a door; and half a wall and what smoothing cuts off a corner.
 _CLEARANCE_M = 0.3
+_MARGIN_M = 0.15
 _SMOOTHING_M = 0.5
 _NODES = 5000
 # What is nearer than this to the walk need not be visited.
@@ -63,13 +64,17 @@ def enclosed(start_m: Array, end_m: Array) -> shapely.Geometry:
     return shapely.union_all(shapely.get_parts(shapely.polygonize([*shapely.get_parts(network)])))
 
 
-def plan_walk(start_m: Array, end_m: Array, most_epochs: int = 236, step_m: float = 0.5) -> Walk:
+def plan_walk(
+    start_m: Array, end_m: Array, thickness_m: Array, most_epochs: int = 236, step_m: float = 0.5
+) -> Walk:
     """A walk through the largest connected free space.
 
     Parameters
     ----------
     start_m, end_m : ndarray, shape (n, 2)
         Ends of the walls, metres.
+    thickness_m : ndarray, shape (n,)
+        Their thickness, metres.
     most_epochs : int
         Length of the walk in steps.
     step_m : float
@@ -83,7 +88,7 @@ def plan_walk(start_m: Array, end_m: Array, most_epochs: int = 236, step_m: floa
     room = enclosed(start_m, end_m)
     if room.is_empty:
         raise InputError("walls: expected walls that enclose a room, got none that do (gaps at corners?)")
-    free = _free(room, start_m, end_m, _CLEARANCE_M)
+    free = _free(room, start_m, end_m, thickness_m)
     nodes, graph = _lattice(free)
     if len(nodes) < 3:
         raise InputError(
@@ -104,7 +109,13 @@ def plan_walk(start_m: Array, end_m: Array, most_epochs: int = 236, step_m: floa
 
 
 def place_anchors(
-    start_m: Array, end_m: Array, track_m: Array, least: int = 2, most: int = 6, wanted: int = 2
+    start_m: Array,
+    end_m: Array,
+    thickness_m: Array,
+    track_m: Array,
+    least: int = 2,
+    most: int = 6,
+    wanted: int = 2,
 ) -> Array:
     """Places from which a track is seen.
 
@@ -112,6 +123,8 @@ def place_anchors(
     ----------
     start_m, end_m : ndarray, shape (n, 2)
         Ends of the walls, metres.
+    thickness_m : ndarray, shape (n,)
+        Their thickness, metres.
     track_m : ndarray, shape (epochs, 2)
         The agent's track, metres.
     least, most : int
@@ -128,7 +141,7 @@ def place_anchors(
     InputError
         If there is no room for an anchor.
     """
-    free = _free(enclosed(start_m, end_m), start_m, end_m, _CLEARANCE_M, whole=True)
+    free = _free(enclosed(start_m, end_m), start_m, end_m, thickness_m, whole=True)
     nodes, _ = _lattice(free)
     seen_from = track_m[:: max(1, len(track_m) // 60)]
     gap = np.linalg.norm(nodes[:, None] - seen_from, axis=-1).min(axis=1) if len(nodes) else np.zeros(0)
@@ -157,11 +170,12 @@ def place_anchors(
 
 
 def _free(
-    room: shapely.Geometry, start_m: Array, end_m: Array, clearance_m: float, whole: bool = False
+    room: shapely.Geometry, start_m: Array, end_m: Array, thickness_m: Array, whole: bool = False
 ) -> shapely.Geometry:
     """The room less a clearance around its walls; its largest part unless the whole is wanted."""
-    walls = shapely.union_all(shapely.linestrings(np.stack([start_m, end_m], axis=1)))
-    free = shapely.difference(room, shapely.buffer(walls, clearance_m, quad_segs=4))
+    walls = shapely.linestrings(np.stack([start_m, end_m], axis=1))
+    clearance = np.maximum(_CLEARANCE_M, 0.5 * thickness_m + _MARGIN_M)
+    free = shapely.difference(room, shapely.union_all(shapely.buffer(walls, clearance, quad_segs=4)))
     parts = shapely.get_parts(free)
     if whole or len(parts) < 2:
         return free

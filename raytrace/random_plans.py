@@ -62,9 +62,10 @@ def random_plan(kind: Kind, rng: np.random.Generator, most_epochs: int = 236) ->
     turn = float(rng.uniform(-np.pi, np.pi)) if rng.random() < 0.5 else 0.0
     ends = np.round(rotate(np.array([wall[1:3] for wall in walls]), turn), 4)
     height = float(_metres(rng, 2.6, 6.0 if kind == "hall" else 3.6))
-    walk = plan_walk(ends[:, 0], ends[:, 1], most_epochs)
+    thickness = np.array([wall[4] for wall in walls])
+    walk = plan_walk(ends[:, 0], ends[:, 1], thickness, most_epochs)
     track = smoothed_track(walk.waypoints_m, walk.smoothing_m, walk.step_m, walk.epochs)
-    anchors = place_anchors(ends[:, 0], ends[:, 1], track)
+    anchors = place_anchors(ends[:, 0], ends[:, 1], thickness, track)
     data: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -185,5 +186,5 @@ def _hall(rng: np.random.Generator) -> list[_Wall]:
         for row in range(rows):
             x, y = (column + 1) * bay_x - 0.5 * side, (row + 1) * bay_y - 0.5 * side
             name = f"column-{column + 1}{row + 1}"
-            walls += _ring(name, _box(x, y, side, side), ("concrete", side))
+            walls += _ring(name, _box(x, y, side, side), ("concrete", 0.2))
     return walls

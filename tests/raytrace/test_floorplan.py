@@ -198,7 +198,7 @@ def test_several_mistakes_are_counted() -> None:
 
 def test_missing_file_and_bad_toml(tmp_path: Path) -> None:
     """A file that is not there, one that is no TOML, and one that is no text, are named."""
-    with pytest.raises(FloorPlanError, match=r"nowhere\.toml: expected a floor plan file or one of l-room"):
+    with pytest.raises(FloorPlanError, match=r"nowhere\.toml: expected a floor plan file or one of corridor"):
         load_floorplan(tmp_path / "nowhere.toml")
     for content in (b"walls = [", b"\xff\xfe\x00"):
         file = tmp_path / "bad.toml"

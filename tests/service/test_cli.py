@@ -18,7 +18,7 @@ from service.doctor import as_json, machine_findings
 
 Runner = Callable[..., SimpleNamespace]
 COMMANDS = [
-    *("doctor", "demo", "trace", "append", "merge", "verify", "info", "export"),
+    *("doctor", "demo", "trace", "campaign", "append", "merge", "verify", "info", "export"),
     *("extract", "slam", "evaluate", "plot"),
 ]
 
@@ -66,11 +66,11 @@ def test_version(main: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["trace", "nowhere", "--out", "OUT"], ["nowhere", "expected a floor plan file or one of l-room"]),
+        (["trace", "nowhere", "--out", "OUT"], ["nowhere", "expected a floor plan file or one of corridor"]),
         (["trace", "nowhere.toml", "--out", "OUT"], ["nowhere.toml", "expected"]),
         (
             ["demo", "--scene", "nowhere", "--out", "OUT"],
-            ["nowhere", "expected a floor plan file or one of l-room"],
+            ["nowhere", "expected a floor plan file or one of corridor"],
         ),
         (
             ["extract", "nowhere", "--out", "OUT"],
