@@ -22,6 +22,7 @@ from estimator.errors import ConfigurationError, FileFormatError, InputError
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.sensing.beam_ranges import walls_of_beams
 from estimator.sensing.flash import FlashConfig, find_flashes, flash_walls
+from estimator.threads import one_blas_thread
 from estimator.waveform import OfdmGrid, frequency_response
 
 __all__ = ["ExtractConfig", "Progress", "extract", "extract_epochs", "sense_walls"]
@@ -97,6 +98,7 @@ def extract(
     )
 
 
+@one_blas_thread()
 def extract_epochs(
     dataset: Dataset, config: NompConfig | None = None, batch: int = 64, progress: Progress | None = None
 ) -> tuple[Epoch, ...]:
@@ -141,6 +143,7 @@ def _channels(shard: xr.Dataset, grid: OfdmGrid) -> Complex:
     return _complex(first, "cfr", "passive", (*links, "tone"))[:, :, 0, :]
 
 
+@one_blas_thread()
 def sense_walls(dataset: Dataset, config: FlashConfig | None = None) -> tuple[GaussianVrp, ...]:
     """Walls from the sweep at the start; none if the dataset holds no sweep.
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from estimator.dataset import write_shard
 from estimator.errors import BackendError
+from estimator.threads import one_blas_thread
 from raytrace.backend import prepare
 from raytrace.channel import add_noise, channel_response
 from raytrace.echo import EchoSweep, sweep_echo
@@ -130,6 +131,7 @@ class Stages:
             self._progress(len(STAGES), len(STAGES), "done")
 
 
+@one_blas_thread()
 def make_shard(task: ShardTask, folder: Path, stages: Stages | None = None) -> MadeShard:
     """Trace the epochs of a shard and write its files.
 

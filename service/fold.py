@@ -19,6 +19,7 @@ from estimator.errors import ConfigurationError, InputError
 from estimator.measurements import GaussianVrp, MeasurementSet
 from estimator.slam import Engine, Prior, epoch_rng
 from estimator.slam.run import config_for, engine_for
+from estimator.threads import one_blas_thread
 from service.documents import dump, estimate_document, read_epoch, read_sweep
 
 __all__ = ["Folded", "Job", "StateCache", "digest", "engine_of", "fold", "measurement_set"]
@@ -134,6 +135,7 @@ def engine_of(config: Mapping[str, Any]) -> Engine:
     return engine_for(config["method"], config["engine"], model)
 
 
+@one_blas_thread()
 def fold(job: Job, cache: StateCache | None = None) -> Folded:
     """Take a job's epochs into its session's state, as a batch run would.
 

@@ -17,6 +17,7 @@ from estimator.slam.engine import Engine, GaussianEngine, Prior, epoch_rng
 from estimator.slam.estimate import Estimate
 from estimator.slam.particle import ParticleEngine
 from estimator.slam.particle_config import ParticleConfig
+from estimator.threads import one_blas_thread
 
 __all__ = ["ENGINES", "METHODS", "config_for", "engine_for", "run_slam"]
 
@@ -78,6 +79,7 @@ def engine_for(method: str, engine: str, config: Config) -> Engine:
     )
 
 
+@one_blas_thread()
 def run_slam(
     measurements: MeasurementSet,
     method: str = "hybrid",
