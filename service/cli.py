@@ -23,6 +23,7 @@ import typer
 from rich.console import Console
 
 from estimator.errors import HapslamError
+from service.cli_bench import register as register_bench
 from service.cli_dataset import register as register_datasets
 from service.cli_experiments import register as register_experiments
 from service.cli_scene import register as register_scenes
@@ -196,6 +197,7 @@ register(app)
 register_scenes(app)
 register_datasets(app)
 register_experiments(app, _room)
+register_bench(app)
 
 
 def print_line(text: str) -> None:

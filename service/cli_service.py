@@ -148,7 +148,7 @@ def service_bench(
     """Load a server of its own, one epoch a request; figures as JSON."""
     import json
 
-    from service.bench import LoadConfig, measure_load
+    from service.bench.load import LoadConfig, measure_load
 
     figures = measure_load(LoadConfig(sessions, seconds, rate, workers), database)
     sys.stdout.write(json.dumps(figures, indent=2) + "\n")

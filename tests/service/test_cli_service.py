@@ -12,7 +12,7 @@ import pytest
 
 from estimator.errors import ConfigurationError
 from estimator.measurements import MeasurementSet, save_measurements
-from service.bench import LoadConfig, measure_load
+from service.bench.load import LoadConfig, measure_load
 from service.client import Client
 from service.settings import load_settings
 from tests.service.harness import Server

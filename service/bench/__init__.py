@@ -1,0 +1,1 @@
+"""`hapslam bench`: what the parts cost on this machine, beside their bars and their peers."""

@@ -1,0 +1,61 @@
+"""`hapslam bench`: its rows, as a table and as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+
+import pytest
+
+from service.bench import estimator_rows
+from service.bench.rows import Row, cpu_s
+
+Runner = Callable[..., SimpleNamespace]
+
+
+def test_the_estimator_is_measured_in_earnest(main: Runner) -> None:
+    """Real figures of the estimator, positive and within ten times their bars, with machine and versions."""
+    run = main("bench", "--only", "estimator", "--quick", "--json")
+    assert run.status == 0, run.err
+    found = json.loads(run.out)
+    assert found["machine"]["cores"] >= 1
+    assert {"python", "numpy", "scipy"} <= set(found["versions"])
+    rows = found["rows"]
+    assert [row["part"] for row in rows] == ["estimator"] * len(rows)
+    assert sum("NOMP, 819 tones, 15 paths" in row["name"] for row in rows) == 1
+    for row in rows:
+        assert row["value"] > 0.0
+        assert row["bar"] is None or row["value"] < 10.0 * row["bar"], row
+    beside = [row for row in rows if row["peer"] is not None]
+    assert len(beside) == 2
+    for row in beside:
+        assert row["ratio"] == pytest.approx(row["peer_value"] / row["value"])
+
+
+def test_the_table_says_what_is_met(main: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bar that is met, one that is not, none at all, and a peer, each as the table shows them."""
+
+    def rows(quick: bool) -> Iterator[Row]:
+        assert not quick
+        yield Row("below", 1.0, "ms", 2.0)
+        yield Row("above", 3.0, "ms", 2.0)
+        yield Row("beside", 4.0, "s", peer="another", peer_value=10.0)
+
+    monkeypatch.setattr(estimator_rows, "rows", rows)
+    monkeypatch.setenv("COLUMNS", "120")
+    run = main("bench", "--only", "estimator")
+    assert run.status == 0, run.err
+    lines = {line.split()[0]: line for line in run.out.splitlines() if line.strip()}
+    assert "1 ms" in lines["below"]
+    assert lines["below"].split("ms")[-1].strip() == "met"
+    assert lines["above"].split("ms")[-1].strip() == "NOT met"
+    assert "another: 10 s (x 2.5)" in lines["beside"]
+
+
+def test_cpu_time_leaves_out_the_first_call() -> None:
+    """The median counts the calls after the first, which warms caches."""
+    calls: list[int] = []
+    taken = cpu_s(lambda: calls.append(sum(range(1000 if calls else 3_000_000))), 3)
+    assert len(calls) == 4
+    assert 0.0 <= taken < 0.01
