@@ -132,9 +132,13 @@ def extract_epochs(
 
 
 def _channels(shard: xr.Dataset, grid: OfdmGrid) -> Complex:
-    """CFRs (epoch, anchor, tone) of the first antenna; from impulse responses if it holds no others."""
+    """CFRs (epoch, anchor, tone) of the first antenna; from impulse responses if it holds no others.
+
+    Where there are several snapshots, or anchors with arrays, it is the first of those, too.
+    """
     links = ("epoch", "anchor", "antenna")
-    first = shard.isel(antenna=slice(1)) if "antenna" in shard.dims else shard
+    first = shard.isel({axis: 0 for axis in ("snapshot", "anchor_antenna") if axis in shard.dims})
+    first = first.isel(antenna=slice(1)) if "antenna" in first.dims else first
     if "cir_re" in shard and "cfr_re" not in shard:
         cir = _complex(first, "cir", "passive", (*links, "tap"))
         if cir.shape[-1] == grid.tones:

@@ -1,10 +1,10 @@
 """From paths to channel frequency responses on an OFDM grid, and thermal noise.
 
-    H(f) = sum_m a_m s(direction_m) exp(-j 2 pi f tau_m),
+    H(f) = sum_m a_m s_m exp(-j 2 pi f tau_m),
 
 ``f`` the tone's offset from the carrier, ``a_m`` the amplitude with its carrier
-phase, ``s`` the response of the receiving array. Delays are absolute: nothing is
-shifted to make the first path arrive at zero.
+phase, ``s_m`` what antennas and motion make of it (:mod:`raytrace.reception`). Delays
+are absolute: nothing is shifted to make the first path arrive at zero.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimator.arrays import UniformLinearArray
 from estimator.waveform import OfdmGrid
 from raytrace.paths import PathSet
 
@@ -69,7 +68,7 @@ def _powers(base: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
 
 
 def channel_response(
-    paths: PathSet, grid: OfdmGrid, array: UniformLinearArray | None = None, heading_rad: float = 0.0
+    paths: PathSet, grid: OfdmGrid, signals: NDArray[np.complex128] | None = None
 ) -> NDArray[np.complex128]:
     """Noiseless channel of every link.
 
@@ -79,23 +78,18 @@ def channel_response(
         Axes (epoch, anchor, path), angles in the plan frame.
     grid : OfdmGrid
         The tones.
-    array : UniformLinearArray, optional
-        The agent's array, in its frame; by default one antenna.
-    heading_rad : float
-        Azimuth of the agent's frame in the plan, radians.
+    signals : ndarray of complex128, shape (epochs, anchors, signals, path), optional
+        What each path's amplitude is multiplied with in each signal (antenna, snapshot);
+        by default one signal gets the paths as they are.
 
     Returns
     -------
-    ndarray of complex128, shape (epochs, anchors, antennas, tones)
+    ndarray of complex128, shape (epochs, anchors, signals, tones)
         Channel gains (dimensionless).
     """
-    array = UniformLinearArray() if array is None else array
-    filled = paths.valid
-    azimuth = np.where(filled, paths.arrival_azimuth_rad - heading_rad, 0.0)
-    elevation = np.where(filled, paths.arrival_elevation_rad, 0.0)
-    steering = np.swapaxes(array.steering(azimuth, elevation), -1, -2)  # (..., antenna, path)
-    weights = steering * np.where(filled, paths.amplitude, 0.0)[..., None, :]
-    return superpose(weights, np.where(filled, paths.delay_s, 0.0), grid)
+    amplitude = np.where(paths.valid, paths.amplitude, 0.0)[..., None, :]
+    weights = amplitude if signals is None else signals * amplitude
+    return superpose(weights, np.where(paths.valid, paths.delay_s, 0.0), grid)
 
 
 def add_noise(response: ArrayLike, variance: float, rng: np.random.Generator) -> NDArray[np.complex128]:

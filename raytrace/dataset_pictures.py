@@ -91,7 +91,8 @@ def draw_delay_profile(dataset: Dataset) -> Figure:
             row = shard.isel(epoch=index)
             response = row["cfr_re"].to_numpy().astype(np.float64) + 1j * row["cfr_im"].to_numpy()
             length, power = delay_profile(response, spacing_hz)
-            profiles.append(np.mean(10.0 ** (power / 10.0), axis=1).astype(np.float32))  # over antennas
+            over = tuple(range(1, power.ndim - 1))  # antennas, and snapshots
+            profiles.append(np.mean(10.0 ** (power / 10.0), axis=over).astype(np.float32))
             epochs.append(int(row["epoch"]))
     power_db = 10.0 * np.log10(np.stack(profiles))  # (epoch, anchor, bin)
     heard = power_db.max(axis=(0, 1)) > power_db.max() - _SPAN_DB

@@ -81,7 +81,10 @@ def sweep_echo(
     epochs = plan.echo.sweep_epochs if epochs is None else epochs
     places = plan.track()[list(epochs)]
     if plan.echo.model == "radar-equation":
-        responses = [radar_sweep(plan, radio, place) for place in places]
+        headings = plan.headings_rad()[list(epochs)]
+        responses = [
+            radar_sweep(plan, radio, place, heading) for place, heading in zip(places, headings, strict=True)
+        ]
         return EchoSweep(epochs, np.stack(responses), 0, 0, None)
     return _physical(plan, radio, epochs, places)
 
@@ -91,7 +94,7 @@ def _physical(
 ) -> EchoSweep:
     half = np.array([0.0, 0.0, 0.5 * plan.echo.separation_m])
     responses, reports, specular, diffuse = [], [], 0, 0
-    for place in places:
+    for place, heading in zip(places, plan.headings_rad()[list(epochs)], strict=True):
         sender, receiver = place + half, place - half
         paths, report = trace_specular(plan, radio, sender[None], receiver[None], plan.echo.depth)
         returns = paths.flat()
@@ -111,16 +114,16 @@ def _physical(
             )
             diffuse += len(scattered)
             returns = PathList.concatenate([returns, scattered])
-        responses.append(_beams(plan, returns.canonical()))
+        responses.append(_beams(plan, returns.canonical(), heading))
     total = TraceReport(
         *(sum(values) for values in zip(*(r.as_dict().values() for r in reports), strict=True))
     )
     return EchoSweep(epochs, np.stack(responses), specular, diffuse, total)
 
 
-def _beams(plan: FloorPlan, paths: PathList) -> NDArray[np.complex128]:
+def _beams(plan: FloorPlan, paths: PathList, heading: float) -> NDArray[np.complex128]:
     """Both directions of every path through every beam, summed on the tones, (beams, tones)."""
-    beams, heading = plan.echo.beams.beam_set(), plan.agent.heading_rad
+    beams = plan.echo.beams.beam_set()
     sent = beams.one_way(paths.departure_azimuth_rad - heading, paths.departure_elevation_rad)
     heard = beams.one_way(paths.arrival_azimuth_rad - heading, paths.arrival_elevation_rad)
     return superpose((sent * heard * paths.amplitude[:, None]).T, paths.delay_s, plan.echo.grid())

@@ -75,7 +75,7 @@ def _matrices(dataset: Dataset, plan: FloorPlan, anchor: int) -> Iterator[dict[s
     """The matrices of one anchor, shard by shard."""
     track = plan.track()
     for shard in dataset.shards("paths"):
-        paths = stored_paths(shard, plan.agent.heading_rad)
+        paths = stored_paths(shard, plan.heading_rad)
         points = _spread(paths, plan, track[shard["epoch"].values])[:, anchor]
         valid, amplitude = paths.valid[:, anchor], paths.amplitude[:, anchor]
         with np.errstate(divide="ignore"):

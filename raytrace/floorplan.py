@@ -15,16 +15,17 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from estimator.errors import InputError
-from raytrace.links import Count, Echo, Finite, NonNegative, Part, Positive, Radio
+from raytrace.devices import Agent, Anchor, Name, Point2
+from raytrace.links import Echo, Part, Positive, Radio
 from raytrace.plan_checks import PlanFault, check_plan
-from raytrace.trajectory import smoothed_track
+from raytrace.trajectory import smoothed_track, travel_azimuths
 
 __all__ = [
     "Agent",
@@ -43,9 +44,6 @@ FORMAT = "hapslam-floorplan"
 VERSION = 1
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
-Point2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
-Point3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
-Name = Annotated[str, Field(min_length=1, max_length=100)]
 
 
 class FloorPlanError(InputError):
@@ -69,34 +67,6 @@ class Slab(Part):
     enabled: bool = True
     material: str = "concrete"
     thickness_m: Positive = 0.2
-
-
-class Anchor(Part):
-    """A physical anchor: an isotropic, vertically polarised antenna."""
-
-    name: Name
-    position_m: Point3
-
-
-class Agent(Part):
-    """The agent's track: way-points smoothed by a moving average, sampled every ``step_m``.
-
-    ``heading_deg`` turns the axes of its arrays against the plan's at the start; the
-    arrays keep that orientation while the agent moves.
-    """
-
-    waypoints_m: Annotated[tuple[Point2, ...], Field(min_length=2, strict=False)]
-    height_m: Positive = 1.5
-    speed_m_s: Positive = 0.5
-    step_m: Positive = 0.5
-    epochs: Count = 236
-    smoothing_m: NonNegative = 5.0
-    heading_deg: Finite = 0.0
-
-    @property
-    def heading_rad(self) -> float:
-        """Heading at the start, radians."""
-        return float(np.deg2rad(self.heading_deg))
 
 
 class Tracing(Part):
@@ -170,6 +140,33 @@ class FloorPlan(Part):
         plane = smoothed_track(agent.waypoints_m, agent.smoothing_m, agent.step_m, agent.epochs)
         return np.column_stack([plane, np.full(agent.epochs, agent.height_m)])
 
+    def headings_rad(self) -> NDArray[np.float64]:
+        """Azimuth of the agent's x axis in the plan at every epoch, shape (epochs,), radians."""
+        agent = self.agent
+        mounted = np.full(agent.epochs, float(np.deg2rad(agent.heading_deg)))
+        return mounted if agent.orientation == "fixed" else mounted + self._travel_azimuths()
+
+    @property
+    def heading_rad(self) -> float:
+        """Azimuth of the estimator's x axis in the plan: the agent's heading at the start, radians."""
+        return float(self.headings_rad()[0])
+
+    def velocities_m_s(self) -> NDArray[np.float64]:
+        """The agent's velocity at every epoch, plan frame, shape (epochs, 3), metres per second."""
+        azimuth = self._travel_azimuths()
+        ahead = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)])
+        return np.asarray(self.agent.speed_m_s * ahead)
+
+    def _travel_azimuths(self) -> NDArray[np.float64]:
+        agent = self.agent
+        return travel_azimuths(agent.waypoints_m, agent.smoothing_m, agent.step_m, agent.epochs)
+
+    def clock_errors_s(self) -> NDArray[np.float64]:
+        """What the clocks add to every delay, shape (epochs, anchors), seconds: agent's less anchor's."""
+        times = self.times_s()
+        anchors = np.stack([anchor.clock.error_s(times) for anchor in self.anchors], axis=1)
+        return np.asarray(self.agent.clock.error_s(times)[:, None] - anchors)
+
     def times_s(self) -> NDArray[np.float64]:
         """Time of every epoch since the first, shape (epochs,), seconds."""
         return np.arange(self.agent.epochs, dtype=np.float64) * (self.agent.step_m / self.agent.speed_m_s)
@@ -209,8 +206,11 @@ class FloorPlan(Part):
         data = self.model_dump(mode="json")
         for dotted, value in changes.items():
             *parents, last = dotted.split(".")
-            node = data
+            node, part = data, cast(Any, self)
             for parent in parents:
+                part = getattr(part, parent, None)
+                if isinstance(part, (Part, dict)):
+                    node.setdefault(parent, {})
                 if not isinstance(node.get(parent), dict):
                     raise FloorPlanError(
                         f"{self.name}: {dotted}: expected the name of a value, got {parent!r}"

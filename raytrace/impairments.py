@@ -1,4 +1,4 @@
-"""What real radios add to channels besides noise: timing jitter and beams out of calibration.
+"""What real radios add to channels besides noise: clocks that are wrong, jitter, uncalibrated beams.
 
 Ideal channels at high SNR give delays to a tenth of a millimetre and flashes to a
 thousandth of a degree, which no hardware delivers. The plan states the errors, a
@@ -8,7 +8,7 @@ stream of the dataset's seed draws them, and the estimator does not know the dra
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
 
@@ -17,12 +17,20 @@ __all__ = ["jitter", "miscalibrate"]
 Complex = NDArray[np.complex128]
 
 
-def jitter(response: Complex, grid: OfdmGrid, std_s: float, rng: np.random.Generator) -> Complex:
-    """Shift every epoch of every anchor by a timing error of its own.
+def jitter(
+    response: Complex,
+    grid: OfdmGrid,
+    std_s: float,
+    rng: np.random.Generator,
+    clock_error_s: ArrayLike = 0.0,
+) -> Complex:
+    """Shift every epoch of every anchor by a timing error of its own, and by what the clocks are wrong.
+
+    The carrier's phase stays: the receiver tracks it.
 
     Parameters
     ----------
-    response : ndarray of complex128, shape (epochs, anchors, antennas, tones)
+    response : ndarray of complex128, shape (epochs, anchors, ..., tones)
         Channel frequency responses.
     grid : OfdmGrid
         Their tones.
@@ -30,11 +38,14 @@ def jitter(response: Complex, grid: OfdmGrid, std_s: float, rng: np.random.Gener
         Standard deviation of the error, seconds; all paths of the CFR share it.
     rng : Generator
         Source of the errors.
+    clock_error_s : array_like, shape (epochs, anchors)
+        Added to the error, seconds.
     """
     error_s = (
         rng.normal(scale=std_s, size=response.shape[:2]) if std_s > 0.0 else np.zeros(response.shape[:2])
     )
-    turns = error_s[:, :, None, None] * grid.offsets_hz()
+    error_s = error_s + np.asarray(clock_error_s, dtype=np.float64)
+    turns = error_s.reshape(*error_s.shape, *(1,) * (response.ndim - 2)) * grid.offsets_hz()
     return np.asarray(response * np.exp(-2j * np.pi * turns))
 
 

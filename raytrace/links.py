@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -10,7 +10,18 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from estimator.arrays import BeamSet, UniformLinearArray
 from estimator.waveform import OfdmGrid
 
-__all__ = ["AgentArray", "Beams", "Count", "Echo", "Finite", "NonNegative", "Part", "Positive", "Radio"]
+__all__ = [
+    "AgentArray",
+    "Beams",
+    "Count",
+    "Echo",
+    "Finite",
+    "NonNegative",
+    "Part",
+    "Positive",
+    "Radio",
+    "added",
+]
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -22,6 +33,11 @@ class Part(BaseModel):
     """Base of all parts of a plan: frozen, strict, and without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+def added(default: Any) -> Any:
+    """A field that came later: a plan that leaves it at its default is written, and hashed, without it."""
+    return Field(default=default, exclude_if=lambda value: value == default)
 
 
 class AgentArray(Part):
@@ -62,12 +78,16 @@ class _Signal(Part):
 class Radio(_Signal):
     """The passive link: every anchor sends pilots, the agent receives.
 
-    ``timing_jitter_s`` is the standard deviation of the timing error of each CFR.
+    ``timing_jitter_s`` is the standard deviation of the timing error of each CFR. An epoch
+    has ``snapshots`` CFRs, ``snapshot_interval_s`` apart, between which every path turns by its
+    Doppler shift; each integrates ``symbols`` symbols.
     """
 
     eirp_dbm: Finite = 26.0
     timing_jitter_s: NonNegative = 0.0
     agent_array: AgentArray = AgentArray()
+    snapshots: Count = added(1)
+    snapshot_interval_s: Positive = added(1e-3)
 
     def noise_variance(self) -> float:
         """Noise variance on one tone of a CFR estimate (dimensionless)."""

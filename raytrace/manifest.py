@@ -47,6 +47,7 @@ def head(plan: FloorPlan, seed: int, output: Output, llvm: str) -> dict[str, Any
         "radio": {
             **_signal(plan.radio),
             "eirp_dbm": plan.radio.eirp_dbm,
+            **plan.radio.model_dump(include={"snapshots", "snapshot_interval_s"}),
             "agent_array": {
                 "elements": agent_array.elements,
                 "spacing_wavelengths": agent_array.spacing_wavelengths,

@@ -52,7 +52,8 @@ class Output:
         """The same with ``shard_epochs`` chosen for a plan if it is 0."""
         if self.shard_epochs:
             return self
-        channel = 16 * plan.radio.agent_array.elements * plan.radio.grid().tones
+        radio = plan.radio
+        channel = 16 * radio.snapshots * radio.agent_array.elements * radio.grid().tones
         fitting = _MOST_BYTES // (channel * len(plan.anchors))
         return replace(self, shard_epochs=max(1, min(_MOST_EPOCHS, fitting)))
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NO_SURFACE", "PathList", "PathSet", "angles_of"]
+__all__ = ["NO_SURFACE", "PathList", "PathSet", "angles_of", "directions_of"]
 
 NO_SURFACE = -1
 
@@ -23,6 +23,16 @@ def angles_of(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
     azimuth = np.arctan2(vectors[..., 1], vectors[..., 0])
     elevation = np.arctan2(vectors[..., 2], np.hypot(vectors[..., 0], vectors[..., 1]))
     return azimuth, elevation
+
+
+def directions_of(
+    azimuth_rad: NDArray[np.float64], elevation_rad: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Unit vectors (..., 3) of azimuths and elevations, radians; the inverse of :func:`angles_of`."""
+    level = np.cos(elevation_rad)
+    return np.stack(
+        [level * np.cos(azimuth_rad), level * np.sin(azimuth_rad), np.sin(elevation_rad)], axis=-1
+    )
 
 
 @dataclass(frozen=True, eq=False)

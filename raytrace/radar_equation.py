@@ -27,7 +27,9 @@ from raytrace.scene import RadioScene
 __all__ = ["horizontal_hits", "radar_sweep"]
 
 
-def radar_sweep(plan: FloorPlan, radio: RadioScene, place_m: NDArray[np.float64]) -> NDArray[np.complex128]:
+def radar_sweep(
+    plan: FloorPlan, radio: RadioScene, place_m: NDArray[np.float64], heading_rad: float
+) -> NDArray[np.complex128]:
     """Noiseless sweep by the radar equation.
 
     Parameters
@@ -39,6 +41,8 @@ def radar_sweep(plan: FloorPlan, radio: RadioScene, place_m: NDArray[np.float64]
         The scene.
     place_m : ndarray, shape (3,)
         Where the agent stands, metres.
+    heading_rad : float
+        Azimuth of its x axis in the plan, radians.
 
     Returns
     -------
@@ -54,7 +58,7 @@ def radar_sweep(plan: FloorPlan, radio: RadioScene, place_m: NDArray[np.float64]
         share = pattern / np.linalg.norm(pattern, axis=1, keepdims=True)
     else:
         azimuth, share = centres, np.eye(beams.beams, dtype=np.complex128)
-    distance, cosine = horizontal_hits(radio, place_m, azimuth + plan.agent.heading_rad)
+    distance, cosine = horizontal_hits(radio, place_m, azimuth + heading_rad)
     hit = np.isfinite(distance)
     distance, cosine = np.where(hit, distance, 1.0), np.where(hit, cosine, 0.0)
     section = echo.gamma * cosine ** (2.0 * echo.eta)

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from raytrace.channel import channel_response
 from raytrace.floorplan import FloorPlan
 from raytrace.paths import PathList, PathSet
+from raytrace.reception import receive
 from raytrace.scene import RadioScene
 from raytrace.solver import solve
 
@@ -25,7 +25,7 @@ _BATCH = 32
 
 
 def diffuse_response(
-    plan: FloorPlan, radio: RadioScene, positions_m: NDArray[np.float64] | None = None
+    plan: FloorPlan, radio: RadioScene, epochs: NDArray[np.int64]
 ) -> tuple[NDArray[np.complex128], int]:
     """Noiseless diffuse part of every passive link.
 
@@ -35,27 +35,27 @@ def diffuse_response(
         The plan; ``tracing.diffuse_samples`` rays leave each anchor.
     radio : RadioScene
         Its scene at the carrier of ``plan.radio``.
-    positions_m : ndarray, shape (epochs, 3), optional
-        Positions of the agent, metres; by default the plan's track.
+    epochs : ndarray of int64, shape (epochs,)
+        Epochs of the plan's track.
 
     Returns
     -------
-    response : ndarray of complex128, shape (epochs, anchors, antennas, tones)
+    response : ndarray of complex128, shape (epochs, anchors, snapshots, antennas, tones)
         Channel gains (dimensionless).
     paths : int
         Number of diffuse paths in it.
     """
-    positions, anchors = plan.track() if positions_m is None else positions_m, plan.anchors_m()
+    positions, anchors = plan.track()[epochs], plan.anchors_m()
     rays = plan.tracing.diffuse_samples
     parts, total = [], 0
     for start in range(0, len(positions), _BATCH):
         # The last batch is filled up to the width that the kernels are compiled for.
-        epochs = np.minimum(np.arange(start, start + _BATCH), len(positions) - 1)
+        batch = np.minimum(np.arange(start, start + _BATCH), len(positions) - 1)
         traced = [
             solve(
                 radio,
                 anchor,
-                positions[epochs],
+                positions[batch],
                 depth=1,
                 samples=rays,
                 los=False,
@@ -67,9 +67,8 @@ def diffuse_response(
         paths = PathList.concatenate(
             [replace(part, anchor=np.full(len(part), index)) for index, part in enumerate(traced)]
         )
-        kept = paths.select(paths.epoch < len(positions) - start)
-        grid = PathSet.build(kept, min(_BATCH, len(positions) - start), len(anchors))
-        array = plan.radio.agent_array.array()
-        parts.append(channel_response(grid, plan.radio.grid(), array, plan.agent.heading_rad))
+        here = epochs[start : start + _BATCH]
+        kept = paths.select(paths.epoch < len(here))
+        parts.append(receive(plan, PathSet.build(kept, len(here), len(anchors)), here))
         total += len(kept)
     return np.concatenate(parts), total

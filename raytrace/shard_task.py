@@ -24,12 +24,13 @@ from estimator.dataset import write_shard
 from estimator.errors import BackendError
 from estimator.threads import one_blas_thread
 from raytrace.backend import prepare
-from raytrace.channel import add_noise, channel_response
+from raytrace.channel import add_noise
 from raytrace.echo import EchoSweep, sweep_echo
 from raytrace.floorplan import FloorPlan
 from raytrace.impairments import jitter, miscalibrate
 from raytrace.output import Output
 from raytrace.passive import trace_specular
+from raytrace.reception import receive
 from raytrace.scattering import diffuse_response
 from raytrace.scene import RadioScene, build_scene
 from raytrace.shards import echo_shard, passive_shard, paths_shard
@@ -162,13 +163,18 @@ def make_shard(task: ShardTask, folder: Path, stages: Stages | None = None) -> M
             positions = plan.track()[task.first : task.stop]
             paths, report = trace_specular(plan, radio, plan.anchors_m(), positions, plan.tracing.depth)
         with stages("channels"):
-            array = plan.radio.agent_array.array()
-            response = channel_response(paths, plan.radio.grid(), array, plan.agent.heading_rad)
+            response = receive(plan, paths, task.epochs)
             diffuse_paths = 0
             if plan.scatters:
-                diffuse, diffuse_paths = diffuse_response(plan, radio, positions)
+                diffuse, diffuse_paths = diffuse_response(plan, radio, task.epochs)
                 response = response + diffuse
-            response = jitter(response, plan.radio.grid(), plan.radio.timing_jitter_s, task.stream("timing"))
+            response = jitter(
+                response,
+                plan.radio.grid(),
+                plan.radio.timing_jitter_s,
+                task.stream("timing"),
+                plan.clock_errors_s()[task.epochs],
+            )
             received = add_noise(response, plan.radio.noise_variance(), task.stream("passive"))
         with stages("echo"):
             sweep, heard = _sweep(task, radio)

@@ -19,6 +19,7 @@ from estimator.geometry import vrp_of_line
 from estimator.waveform import impulse_response
 from raytrace.floorplan import FloorPlan, parse_floorplan
 from raytrace.paths import PathSet
+from raytrace.reception import doppler_hz
 
 __all__ = ["echo_shard", "passive_shard", "paths_shard", "stored_paths", "stored_plan", "truth_shard"]
 
@@ -33,21 +34,30 @@ _PATH_COLUMNS = (
 )
 _PLAN_FRAME = "the plan's: z up, azimuth counter-clockwise from x"
 _AGENT_FRAME = "the agent's at the start: the plan's, turned back by the agent's heading"
+_ARRAY_FRAME = "the agent's at the sweep: that at the start, turned by sweep_heading_rad"
 
 
 def passive_shard(
     plan: FloorPlan, cfr: NDArray[np.complex128], epochs: NDArray[np.int64], content: str = "cfr"
 ) -> xr.Dataset:
-    """Noisy channels of some epochs, shape (epochs, anchors, antennas, tones).
+    """Noisy channels of some epochs, shape (epochs, anchors, snapshots, antennas, tones).
 
-    ``content`` is ``cfr``, ``cir`` (the same as impulse responses) or ``both``.
+    The axis of snapshots is written if the plan asks for more than one. ``content`` is
+    ``cfr``, ``cir`` (the same as impulse responses) or ``both``.
     """
-    links, grid = ("epoch", "anchor", "antenna"), plan.radio.grid()
+    grid = plan.radio.grid()
+    asked = {"epoch": True, "anchor": True, "snapshot": plan.radio.snapshots > 1, "antenna": True}
+    links = tuple(axis for axis, wanted in asked.items() if wanted)
+    cfr = cfr.squeeze(tuple(place for place, wanted in enumerate(asked.values()) if not wanted))
     times = plan.times_s()[epochs]
     shard = xr.Dataset(
         {"time_s": ("epoch", times, {"units": "s", "long_name": "time since the first epoch"})},
         coords={**_epochs(epochs), **_anchors(plan)},
     )
+    if plan.radio.snapshots > 1:
+        after_s = np.arange(plan.radio.snapshots) * plan.radio.snapshot_interval_s
+        facts = {"units": "s", "long_name": "time of the snapshot since that of the epoch"}
+        shard = shard.assign_coords(snapshot_time_s=("snapshot", after_s, facts))
     if content in ("cfr", "both"):
         pair = _complex_pair("cfr", (*links, "tone"), cfr, np.float32, "channel gain with noise")
         shard = shard.assign(pair).assign_coords(_tones(grid.offsets_hz()))
@@ -63,11 +73,14 @@ def echo_shard(plan: FloorPlan, response: NDArray[np.complex128], sweeps: tuple[
     """Noisy beam sweeps, shape (sweeps, beams, tones), at some epochs."""
     azimuth = plan.echo.beams.beam_set().azimuths()
     epochs = np.array(sweeps, dtype=np.int64)
+    turned = np.angle(np.exp(1j * (plan.headings_rad()[epochs] - plan.heading_rad)))
+    gyroscope = {"units": "rad", "long_name": "heading at the sweep since the start, as a gyroscope tells it"}
     return xr.Dataset(
         {
             **_complex_pair("echo", ("sweep", "beam", "tone"), response, np.float32, "two-way beam response"),
             "sweep_epoch": ("sweep", epochs, {"units": "1", "long_name": "epoch of the sweep"}),
-            "beam_azimuth_rad": ("beam", azimuth, {"units": "rad", "frame": _AGENT_FRAME}),
+            "sweep_heading_rad": ("sweep", turned, gyroscope),
+            "beam_azimuth_rad": ("beam", azimuth, {"units": "rad", "frame": _ARRAY_FRAME}),
         },
         coords=_tones(plan.echo.grid().offsets_hz()),
     )
@@ -76,13 +89,15 @@ def echo_shard(plan: FloorPlan, response: NDArray[np.complex128], sweeps: tuple[
 def paths_shard(plan: FloorPlan, paths: PathSet, epochs: NDArray[np.int64]) -> xr.Dataset:
     """The specular paths of some epochs without noise, axes (epoch, anchor, path)."""
     dims = ("epoch", "anchor", "path")
-    arrival = np.angle(np.exp(1j * (paths.arrival_azimuth_rad - plan.agent.heading_rad)))
+    arrival = np.angle(np.exp(1j * (paths.arrival_azimuth_rad - plan.heading_rad)))
+    doppler = doppler_hz(plan, paths, epochs)
     real = {
         "delay_s": (paths.delay_s, {"units": "s", "long_name": "absolute time of flight"}),
         "arrival_azimuth_rad": (arrival, {"units": "rad", "frame": _AGENT_FRAME}),
         "arrival_elevation_rad": (paths.arrival_elevation_rad, {"units": "rad"}),
         "departure_azimuth_rad": (paths.departure_azimuth_rad, {"units": "rad", "frame": _PLAN_FRAME}),
         "departure_elevation_rad": (paths.departure_elevation_rad, {"units": "rad"}),
+        "doppler_hz": (doppler, {"units": "Hz", "long_name": "Doppler shift, positive if approaching"}),
     }
     return xr.Dataset(
         {
@@ -118,11 +133,15 @@ def truth_shard(plan: FloorPlan, reflects: NDArray[np.bool_]) -> xr.Dataset:
     start, end = plan.walls_m()
     metres = {"units": "m", "frame": _PLAN_FRAME}
     floorplan = plan.model_dump(mode="json", exclude_none=True)
+    heading = {"units": "rad", "frame": _PLAN_FRAME, "long_name": "azimuth of the agent's x axis"}
+    ahead = {"units": "s", "long_name": "agent's clock error less the anchor's, in every delay"}
     return xr.Dataset(
         {
             "anchor_position_m": (("anchor", "xyz"), plan.anchors_m(), metres),
             "track_m": (("epoch", "xyz"), track, metres),
             "time_s": ("epoch", plan.times_s(), {"units": "s"}),
+            "agent_heading_rad": ("epoch", plan.headings_rad(), heading),
+            "clock_error_s": (("epoch", "anchor"), plan.clock_errors_s(), ahead),
             "wall_start_m": (("wall", "xy"), start, metres),
             "wall_end_m": (("wall", "xy"), end, metres),
             "vrp_m": (
@@ -144,7 +163,7 @@ def truth_shard(plan: FloorPlan, reflects: NDArray[np.bool_]) -> xr.Dataset:
         attrs={
             "floorplan_toml": tomli_w.dumps(floorplan),
             "start_m": track[0],
-            "heading_rad": plan.agent.heading_rad,
+            "heading_rad": plan.heading_rad,
         },
     )
 

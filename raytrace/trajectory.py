@@ -1,4 +1,4 @@
-"""The agent's track: way-points, smoothed by a moving average, sampled at equal steps."""
+"""The agent's track: way-points, smoothed by a moving average, sampled at equal steps; and its direction."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import InputError
 
-__all__ = ["smoothed_track"]
+__all__ = ["smoothed_track", "travel_azimuths"]
 
 _FINE_STEPS = 20_000
+# Half the chord that stands for the tangent of the curve.
+_CHORD_M = 0.01
 
 
 def smoothed_track(
@@ -43,6 +45,39 @@ def smoothed_track(
     InputError
         If the track is shorter than ``(epochs - 1) * step_m``.
     """
+    fine, travelled = _smoothed(waypoints_m, smoothing_m)
+    needed = (epochs - 1) * step_m
+    if needed > travelled[-1] + 1e-9:
+        raise InputError(
+            f"epochs: expected at most {int(travelled[-1] / step_m + 1e-9) + 1} positions {step_m:g} m apart "
+            f"on a track of {travelled[-1]:.2f} m, got {epochs}"
+        )
+    at = np.arange(epochs) * step_m
+    return np.stack([np.interp(at, travelled, fine[:, axis]) for axis in range(2)], axis=-1)
+
+
+def travel_azimuths(
+    waypoints_m: ArrayLike, smoothing_m: float, step_m: float, epochs: int
+) -> NDArray[np.float64]:
+    """Directions of travel at the positions of :func:`smoothed_track`.
+
+    They are those of the smoothed curve itself, so that a longer walk along it leaves
+    the directions of its first epochs as they are.
+
+    Returns
+    -------
+    ndarray, shape (epochs,)
+        Azimuths, radians.
+    """
+    fine, travelled = _smoothed(waypoints_m, smoothing_m)
+    at = np.arange(epochs) * step_m
+    before, after = np.maximum(at - _CHORD_M, 0.0), np.minimum(at + _CHORD_M, travelled[-1])
+    x, y = (np.interp(after, travelled, axis) - np.interp(before, travelled, axis) for axis in fine.T)
+    return np.asarray(np.arctan2(y, x))
+
+
+def _smoothed(waypoints_m: ArrayLike, smoothing_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The smoothed curve as many points (n, 2), and the length travelled up to each, (n,), metres."""
     points = np.asarray(waypoints_m, dtype=np.float64)
     knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     arc = np.union1d(np.linspace(0.0, knots[-1], _FINE_STEPS), knots)
@@ -54,14 +89,7 @@ def smoothed_track(
     fine = np.where(flat[:, None], plain, mean)
 
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
-    needed = (epochs - 1) * step_m
-    if needed > travelled[-1] + 1e-9:
-        raise InputError(
-            f"epochs: expected at most {int(travelled[-1] / step_m + 1e-9) + 1} positions {step_m:g} m apart "
-            f"on a track of {travelled[-1]:.2f} m, got {epochs}"
-        )
-    at = np.arange(epochs) * step_m
-    return np.stack([np.interp(at, travelled, fine[:, axis]) for axis in range(2)], axis=-1)
+    return fine, travelled
 
 
 def _polyline(

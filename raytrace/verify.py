@@ -21,7 +21,7 @@ from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.floorplan import FloorPlan
 from raytrace.images import image_paths
 from raytrace.passive import LEG_M, RIM_M
-from raytrace.paths import NO_SURFACE, PathList
+from raytrace.paths import NO_SURFACE, PathList, directions_of
 from raytrace.shards import stored_paths, stored_plan
 
 __all__ = ["Verification", "verify"]
@@ -113,7 +113,7 @@ def verify(dataset: Dataset, progress: Progress | None = None) -> Verification:
         epochs = shard["epoch"].values
         if not np.array_equal(epochs, np.arange(done, done + len(epochs))):
             raise FileFormatError(f"{dataset.path}: expected paths from epoch {done} on, got {epochs[:1]}")
-        paths = stored_paths(shard, plan.agent.heading_rad).flat()
+        paths = stored_paths(shard, plan.heading_rad).flat()
         result = result + _compare(plan, track[epochs], paths, done)
         done += len(epochs)
         if progress is not None:
@@ -173,9 +173,7 @@ def _keys(plan: FloorPlan, paths: PathList) -> NDArray[np.int64]:
 
 def _directions(paths: PathList) -> NDArray[np.float64]:
     """Unit vectors to where paths come from, shape (n, 3)."""
-    azimuth, elevation = paths.arrival_azimuth_rad, paths.arrival_elevation_rad
-    level = np.cos(elevation)
-    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=-1)
+    return directions_of(paths.arrival_azimuth_rad, paths.arrival_elevation_rad)
 
 
 def _named(plan: FloorPlan, fault: str, paths: PathList, first: int) -> list[dict[str, Any]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.arrays import UniformLinearArray
 from estimator.waveform import OfdmGrid
 from raytrace.channel import add_noise, channel_response, superpose
 from raytrace.floorplan import FloorPlan
@@ -67,21 +66,6 @@ def test_delay_is_absolute(l_room: Traced) -> None:
     delay = np.argmax(taps, axis=-1) / (16 * GRID.tones * GRID.tone_spacing_hz)
     distance = np.linalg.norm(plan.anchors_m() - plan.track()[0], axis=1)
     np.testing.assert_allclose(delay * 299_792_458.0, distance, atol=0.1)
-
-
-def test_array_phases_follow_the_arrival_angle(l_room: Traced) -> None:
-    """With one path, antennas differ by the steering phase, and the heading turns it."""
-    _, _, paths, _ = l_room
-    flat = paths.flat()
-    one = PathSet.build(flat.select(np.flatnonzero((flat.epoch == 0) & (flat.order == 0))[:1]), 1, 2)
-    anchor = int(np.flatnonzero(one.valid[0, :, 0])[0])
-    array = UniformLinearArray(elements=4)
-    azimuth, elevation = one.arrival_azimuth_rad[0, anchor, 0], one.arrival_elevation_rad[0, anchor, 0]
-    for heading in (0.0, 0.7):
-        response = channel_response(one, GRID, array, heading)[0, anchor]
-        ratio = response[1:] / response[:-1]
-        expected = np.exp(2j * np.pi * 0.5 * np.cos(elevation) * np.sin(azimuth - heading))
-        np.testing.assert_allclose(ratio, np.full_like(ratio, expected), rtol=1e-9)
 
 
 def test_noise_has_the_variance_it_should() -> None:

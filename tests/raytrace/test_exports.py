@@ -105,7 +105,7 @@ def test_octave_reads_mat_files(matlab: Path, sharded: Dataset) -> None:
 def test_bounces_are_on_surfaces_and_make_the_length(sharded: Dataset, short_plan: FloorPlan) -> None:
     """Points reconstructed from the surfaces alone lie on them, and the legs add up to the delay."""
     (first, *_) = sharded.shards("paths")
-    paths = stored_paths(first, short_plan.agent.heading_rad).flat()
+    paths = stored_paths(first, short_plan.heading_rad).flat()
     positions = short_plan.track()[:10]
     points = bounce_points(short_plan, paths, positions)
     surfaces = surfaces_of(short_plan)

@@ -149,6 +149,14 @@ BAD_VALUES = [
     ),
     ({"echo": {"model": "magic"}}, r"echo\.model: expected 'physical' or 'radar-equation', got 'magic'"),
     ({"echo": {"sweep_epochs": [7]}}, r"echo\.sweep_epochs: expected epochs below agent\.epochs = 5, got 7"),
+    ({"agent.orientation": "sideways"}, r"agent\.orientation: expected 'fixed' or 'travel', got 'sideways'"),
+    ({"agent.clock": {"offset": 1e-9}}, r"agent\.clock\.offset: expected only known keys"),
+    ({"anchors.0.clock": {"drift_ppm": float("inf")}}, r"anchors\[0\]\.clock\.drift_ppm: expected a finite"),
+    ({"radio": {"snapshots": 0}}, r"radio\.snapshots: expected greater than or equal to 1, got 0"),
+    (
+        {"radio": {"snapshot_interval_s": 0.0}},
+        r"radio\.snapshot_interval_s: expected greater than 0, got 0\.0",
+    ),
     ({"tracing": {"depth": 9}}, r"tracing\.depth: expected less than or equal to 3, got 9"),
 ]
 

@@ -236,3 +236,37 @@ def test_a_failure_leaves_no_dataset(
         generate(plan, tmp_path / "late", seed=1)
     with pytest.raises(FileFormatError, match="expected a complete dataset"):
         open_dataset(tmp_path / "late")
+
+
+def test_snapshots_clocks_and_turning_in_files(plan: FloorPlan, tmp_path: Path) -> None:
+    """What the plan asks for is in the files: an axis of snapshots, Doppler shifts, clocks and headings."""
+    changes = {
+        "radio.snapshots": 3,
+        "agent.orientation": "travel",
+        "agent.speed_m_s": 5.0,
+        "agent.clock": {"offset_s": 2e-8, "drift_ppm": 0.01},
+        "radio.timing_jitter_s": 0.0,
+        "radio.eirp_dbm": 200.0,
+    }
+    moving = plan.updated(changes)
+    dataset = generate(moving, tmp_path / "moving", seed=1).dataset
+    passive, paths, truth = (next(dataset.shards(kind)) for kind in ("passive", "paths", "truth"))
+    assert passive["cfr_re"].dims == ("epoch", "anchor", "snapshot", "antenna", "tone")
+    np.testing.assert_allclose(passive["snapshot_time_s"], [0.0, 1e-3, 2e-3])
+    assert dataset.manifest["radio"]["snapshots"] == 3
+    np.testing.assert_allclose(truth["agent_heading_rad"], moving.headings_rad())
+    assert truth.attrs["heading_rad"] == moving.headings_rad()[0]
+    np.testing.assert_allclose(truth["clock_error_s"].values[:, 0], 2e-8 + 1e-8 * truth["time_s"])
+
+    first = {"snapshot": 1, "antenna": 0}
+    cfr = passive["cfr_re"].isel(first).values + 1j * passive["cfr_im"].isel(first).values
+    delay = paths["delay_s"].values + truth["clock_error_s"].values[..., None]
+    turn = np.exp(2j * np.pi * paths["doppler_hz"].values * 1e-3)
+    amplitude = (paths["amplitude_re"].values + 1j * paths["amplitude_im"].values) * turn
+    tones = np.exp(-2j * np.pi * delay[..., None] * passive["tone_offset_hz"].values)
+    azimuth = paths["arrival_azimuth_rad"].values + moving.heading_rad - moving.headings_rad()[:, None, None]
+    valid = paths["path_valid"].values.astype(bool)
+    antenna = moving.radio.agent_array.array().steering(azimuth, paths["arrival_elevation_rad"].values)
+    weights = np.where(valid, amplitude * antenna[..., 0], 0.0)
+    exact = np.einsum("ekp,ekpt->ekt", weights, np.where(valid[..., None], tones, 0.0))
+    np.testing.assert_allclose(cfr, exact, atol=1e-5 * np.abs(exact).max())

@@ -90,13 +90,13 @@ def test_response_is_the_sum_of_the_paths() -> None:
     """The batched response holds for every epoch the sum of that epoch's diffuse paths."""
     plan = one_rough_wall().updated({"tracing.diffuse_samples": 500})
     radio = build_scene(plan, plan.radio.carrier_hz)
-    response, count = diffuse_response(plan, radio)
-    assert response.shape == (3, 1, 1, 819)
+    response, count = diffuse_response(plan, radio, np.arange(plan.agent.epochs))
+    assert response.shape == (3, 1, 1, 1, 819)
     total = 0
     for epoch, place in enumerate(plan.track()):
         paths = solve(radio, plan.anchors_m()[0], place[None], depth=1, samples=500, los=False, diffuse=True)
         alone = channel_response(PathSet.build(paths, 1, 1), plan.radio.grid())[0, 0, 0]
-        np.testing.assert_allclose(response[epoch, 0, 0], alone, atol=1e-3 * np.abs(alone).max())
+        np.testing.assert_allclose(response[epoch, 0, 0, 0], alone, atol=1e-3 * np.abs(alone).max())
         total += len(paths)
     assert total == count
 
@@ -105,8 +105,8 @@ def test_places_stay_where_they_are(hard_room: Traced) -> None:
     """The scattering places are the same at every epoch: neighbouring channels are alike in power."""
     plan, radio, _, _ = hard_room
     near = plan.updated({"agent.epochs": 40, "tracing.diffuse_samples": 500})
-    response, _ = diffuse_response(near, radio)
+    response, _ = diffuse_response(near, radio, np.arange(near.agent.epochs))
     assert response.shape[0] == 40  # more than one batch, the last one filled up
-    power = np.mean(np.abs(response) ** 2, axis=(2, 3))
+    power = np.mean(np.abs(response) ** 2, axis=(2, 3, 4))
     assert np.all(power > 0)
     assert np.median(np.abs(10 * np.log10(power[1:] / power[:-1]))) < 3.0

@@ -1,0 +1,78 @@
+"""What the agent receives of traced paths: its array, its heading, and its motion between snapshots."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.waveform import SPEED_OF_LIGHT_M_S
+from raytrace.channel import channel_response
+from raytrace.floorplan import FloorPlan
+from raytrace.paths import PathSet, directions_of
+
+__all__ = ["doppler_hz", "receive"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def receive(plan: FloorPlan, paths: PathSet, epochs: NDArray[np.int64]) -> Complex:
+    """Noiseless channels of all paths at some epochs.
+
+    Parameters
+    ----------
+    plan : FloorPlan
+        Gives array, heading, velocity, snapshots and tones.
+    paths : PathSet
+        Axes (epochs, anchors, path), plan frame.
+    epochs : ndarray of int64, shape (epochs,)
+        Epochs of the plan that the first axis of ``paths`` stands for.
+
+    Returns
+    -------
+    ndarray of complex128, shape (epochs, anchors, snapshots, antennas, tones)
+        Channel gains (dimensionless).
+    """
+    turning = _snapshots(plan, doppler_hz(plan, paths, epochs))  # (..., snapshot, path)
+    heard = _agent_array(plan, paths, epochs)  # (..., antenna, path)
+    signals = turning[..., :, None, :] * heard[..., None, :, :]
+    axes = signals.shape[2:-1]
+    response = channel_response(
+        paths, plan.radio.grid(), signals.reshape(*paths.valid.shape[:2], -1, signals.shape[-1])
+    )
+    return response.reshape(*response.shape[:2], *axes, response.shape[-1])
+
+
+def doppler_hz(plan: FloorPlan, paths: PathSet, epochs: NDArray[np.int64]) -> Array:
+    """Doppler shift of every path, ``v . k / lambda`` with ``k`` towards where it comes from.
+
+    Positive where the agent approaches what it hears. Anchors and walls stand still.
+
+    Parameters
+    ----------
+    plan, paths, epochs
+        As for :func:`receive`.
+
+    Returns
+    -------
+    ndarray, shape (epochs, anchors, path)
+        Hertz; NaN where there is no path.
+    """
+    towards = directions_of(paths.arrival_azimuth_rad, paths.arrival_elevation_rad)
+    speed = np.einsum("eapd,ed->eap", towards, plan.velocities_m_s()[epochs])
+    return np.asarray(speed * plan.radio.carrier_hz / SPEED_OF_LIGHT_M_S)
+
+
+def _snapshots(plan: FloorPlan, shift_hz: Array) -> Complex:
+    """Turn of every path by each snapshot, (epochs, anchors, snapshots, path); the first has none."""
+    after_s = np.arange(plan.radio.snapshots) * plan.radio.snapshot_interval_s
+    turns = np.where(np.isfinite(shift_hz), shift_hz, 0.0)[..., None, :] * after_s[:, None]
+    return np.asarray(np.exp(2j * np.pi * turns))
+
+
+def _agent_array(plan: FloorPlan, paths: PathSet, epochs: NDArray[np.int64]) -> Complex:
+    """Response of the agent's antennas to every path, (epochs, anchors, antennas, path)."""
+    heading = plan.headings_rad()[epochs][:, None, None]
+    azimuth = np.where(paths.valid, paths.arrival_azimuth_rad - heading, 0.0)
+    elevation = np.where(paths.valid, paths.arrival_elevation_rad, 0.0)
+    return np.swapaxes(plan.radio.agent_array.array().steering(azimuth, elevation), -1, -2)
