@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 __all__ = ["Association", "associate"]
 
 Array = NDArray[np.float64]
+_SETTLED = 1e-9  # relative change of messages
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,23 +50,23 @@ def associate(ratio: Array, iterations: int = 12) -> Association:
         Likelihood of "feature f gave measurement j" over "feature f was missed and
         measurement j is clutter"; 0 forbids a pair.
     iterations : int
-        Rounds of message passing.
+        Rounds of message passing, at least 1; fewer where the messages have settled.
 
     Returns
     -------
     Association
     """
-    back = np.ones_like(ratio)
-    forth = ratio
+    weighted = ratio
     for _ in range(iterations):
-        weighted = ratio * back
-        forth = ratio / (1.0 + np.sum(weighted, axis=-1, keepdims=True) - weighted)
-        back = 1.0 / (1.0 + np.sum(forth, axis=-2, keepdims=True) - forth)
-    weighted = ratio * back
-    total = 1.0 + np.sum(weighted, axis=-1)
+        forth = ratio / (1.0 + weighted.sum(axis=-1, keepdims=True) - weighted)
+        back = 1.0 / (1.0 + forth.sum(axis=-2, keepdims=True) - forth)
+        before, weighted = weighted, ratio * back
+        if np.all(np.abs(weighted - before) <= _SETTLED * before):
+            break
+    total = 1.0 + weighted.sum(axis=-1)
     log_evidence = (
-        np.sum(np.log(total), axis=-1)
-        + np.sum(np.log1p(np.sum(forth, axis=-2)), axis=-1)
-        - np.sum(np.log1p(forth * back), axis=(-2, -1))
+        np.log(total).sum(axis=-1)
+        + np.log1p(forth.sum(axis=-2)).sum(axis=-1)
+        - np.log1p(forth * back).sum(axis=(-2, -1))
     )
     return Association(weighted / total[..., None], log_evidence, back)

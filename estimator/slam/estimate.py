@@ -74,6 +74,14 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
     best = int(np.argmax(weight))
 
     agent = _turned(state, mean, covariance, (slice(0, 2), slice(2, 4)))
+
+    def place(know: NDArray[np.bool_], xy: slice) -> tuple[Array, Array]:
+        """A point in the rows that know it."""
+        if know.all():
+            return _turned(state, mean, covariance, (xy,))
+        share = weight[know] / weight[know].sum()
+        return _turned(state, *moments(share, rows.mean[know], rows.covariance[know]), (xy,))
+
     valid = rows.located[best].copy()
     anchors, anchor_covariances = (
         np.full((layout.anchors, 2), np.nan),
@@ -81,13 +89,13 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
     )
     for k in np.flatnonzero(valid):
         xy = layout.anchor_xy(int(k))
-        anchors[k], anchor_covariances[k] = _subset(state, weight, rows.located[:, k], xy)
+        anchors[k], anchor_covariances[k] = place(rows.located[:, k], xy)
     found = np.flatnonzero(state.slots.confirmed & rows.present[best])
     walls, wall_covariances = np.empty((found.size, 2)), np.empty((found.size, 2, 2))
     for j, slot in enumerate(found):
         xy = layout.wall(int(slot))
         near = np.linalg.norm(rows.mean[:, xy] - rows.mean[best, xy], axis=1) < config.confirm_radius_m
-        walls[j], wall_covariances[j] = _subset(state, weight, rows.present[:, slot] & near, xy)
+        walls[j], wall_covariances[j] = place(rows.present[:, slot] & near, xy)
     return Estimate(
         agent[0],
         agent[1],
@@ -101,13 +109,6 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         len(rows),
         state.log_evidence,
     )
-
-
-def _subset(state: GaussianState, weight: Array, rows: NDArray[np.bool_], xy: slice) -> tuple[Array, Array]:
-    """Mean (2,) and covariance (2, 2) of a point in the rows that know it, estimator's frame."""
-    share = weight[rows] / weight[rows].sum()
-    mean, covariance = moments(share, state.rows.mean[rows], state.rows.covariance[rows])
-    return _turned(state, mean, covariance, (xy,))
 
 
 def _turned(

@@ -31,46 +31,52 @@ class Prediction:
         Path lengths; features ordered line of sight, walls, pairs ``1 + L + l * L + m``.
     jacobian : ndarray, shape (R, K, F, n)
         Derivatives by the state vector.
-    possible : ndarray of bool, shape (R, K, F)
-        Whether the bounces are geometrically possible if the walls were infinite.
-    offset_m : ndarray, shape (R, K, F, 2)
-        The agent as seen from the feature's source (the anchor or its image).
+    room : Room
+        The places that this follows from.
     """
 
     length_m: Array
     jacobian: Array
-    possible: NDArray[np.bool_]
-    offset_m: Array
+    room: Room
+
+    @property
+    def possible(self) -> NDArray[np.bool_]:
+        """Whether the bounces are geometrically possible if the walls were infinite, (R, K, F)."""
+        return self.room.possible()
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Inner products of plane vectors, (..., 2) -> (...); on small arrays far faster than an axis sum."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
 
 
 def reflect(point: Array, vrp: Array) -> Array:
     """Mirror images, arrays (..., 2) that broadcast, RP at the origin (equation (2))."""
-    scale = np.sum(point * vrp, axis=-1, keepdims=True) / np.sum(vrp * vrp, axis=-1, keepdims=True)
+    scale = (_dot(point, vrp) / _dot(vrp, vrp))[..., None]
     return np.asarray(point + (1.0 - 2.0 * scale) * vrp)
 
 
 def wall_side(point: Array, vrp: Array) -> Array:
     """Signed distance of points from walls, negative on RP's side; (..., 2) -> (...)."""
-    length = np.sqrt(np.sum(vrp * vrp, axis=-1))
-    return np.asarray(np.sum(point * vrp, axis=-1) / length - 0.5 * length)
+    length = np.sqrt(_dot(vrp, vrp))
+    return np.asarray(_dot(point, vrp) / length - 0.5 * length)
 
 
 def _by_wall(point: Array, vrp: Array, direction: Array) -> Array:
     """``direction^T d reflect(point, vrp) / d vrp``, arrays (..., 2) that broadcast."""
-    square = np.sum(vrp * vrp, axis=-1, keepdims=True)
-    scale = np.sum(point * vrp, axis=-1, keepdims=True) / square
-    along = np.sum(vrp * direction, axis=-1, keepdims=True)
+    square = _dot(vrp, vrp)[..., None]
+    scale = _dot(point, vrp)[..., None] / square
+    along = _dot(vrp, direction)[..., None]
     return np.asarray((1.0 - 2.0 * scale) * direction - 2.0 * along / square * (point - 2.0 * scale * vrp))
 
 
 def _flip(direction: Array, vrp: Array) -> Array:
     """``direction^T d reflect(point, vrp) / d point``: the mirrored direction."""
-    square = np.sum(vrp * vrp, axis=-1, keepdims=True)
-    along = np.sum(vrp * direction, axis=-1, keepdims=True)
-    return np.asarray(direction - 2.0 * along / square * vrp)
+    along = _dot(vrp, direction) / _dot(vrp, vrp)
+    return np.asarray(direction - (2.0 * along)[..., None] * vrp)
 
 
-class _Room:
+class Room:
     """The parts of state vectors, and how a shift of a source follows from theirs."""
 
     def __init__(self, mean: Array, layout: Layout) -> None:
@@ -149,15 +155,15 @@ def predict_paths(mean: Array, layout: Layout) -> Prediction:
     -------
     Prediction
     """
-    room = _Room(mean, layout)
+    room = Room(mean, layout)
     offset = room.agent[:, :, None, :] - room.sources()
-    square = np.sum(offset * offset, axis=-1) + room.height2[:, :, None]
+    square = _dot(offset, offset) + room.height2[:, :, None]
     length = np.sqrt(np.maximum(square, 1e-6))
     jacobian = room.pull_back(offset / length[..., None])
     for k in range(layout.anchors):
         jacobian[:, k, :, layout.height2(k)] = 0.5 / length[:, k]
         jacobian[:, k, :, layout.bias(k)] = 1.0
-    return Prediction(length + room.bias[:, :, None], jacobian, room.possible(), offset)
+    return Prediction(length + room.bias[:, :, None], jacobian, room)
 
 
 def predict_azimuths(mean: Array, layout: Layout) -> tuple[Array, Array]:
@@ -178,7 +184,7 @@ def predict_azimuths(mean: Array, layout: Layout) -> tuple[Array, Array]:
     jacobian : ndarray, shape (R, K, F, n)
         Derivatives by the state vector.
     """
-    room = _Room(mean, layout)
+    room = Room(mean, layout)
     offset = room.agent[:, :, None, :] - room.sources()
     square = np.maximum(np.sum(offset * offset, axis=-1, keepdims=True), 1e-6)
     azimuth = np.arctan2(-offset[..., 1], -offset[..., 0]) + mean[:, None, None, layout.THETA]

@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from estimator.errors import InputError
 from estimator.measurements import Epoch
@@ -26,7 +25,7 @@ from estimator.slam.memory import remember, widen_spans
 from estimator.slam.motion import predict_motion
 from estimator.slam.paths import PathTable, stack_paths
 from estimator.slam.slots import judge, open_slot
-from estimator.slam.state import GaussianState
+from estimator.slam.state import GaussianState, log_sum_exp
 from estimator.slam.sweeps import take_sweep
 from estimator.slam.update import correct
 
@@ -107,7 +106,7 @@ def _correct(state: GaussianState, paths: PathTable, config: GaussianConfig) -> 
     )
     rows = rows.take(done.parent)
     weight = rows.log_weight + done.log_evidence
-    evidence = float(logsumexp(weight))
+    evidence = log_sum_exp(weight)
     heard = np.any(done.heard[:, :, 1 : 1 + state.layout.slots] > 0.5, axis=1)
     rows = replace(
         rows,
@@ -143,7 +142,7 @@ def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:
     new.mean[:, columns] = bank.mean_m
     new.covariance[:, columns, columns] = bank.covariance_m2
     new.present[:, slot] = True
-    new.log_weight[...] += config.birth_log_prior + bank.log_weight - logsumexp(bank.log_weight)
+    new.log_weight[...] += config.birth_log_prior + bank.log_weight - log_sum_exp(bank.log_weight)
     slots = state.slots.copy()
     slots.wall_id[slot], slots.born[slot] = state.next_wall_id, state.epoch
     heard = state.heard.copy()

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from estimator.slam.config import GaussianConfig
-from estimator.slam.state import Rows
+from estimator.slam.state import Rows, log_sum_exp
 
 __all__ = ["moments", "tidy"]
 
@@ -25,7 +24,7 @@ def moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array
 
 def tidy(rows: Rows, config: GaussianConfig) -> Rows:
     """Normalised rows, likeliest first: the unlikely dropped, the alike merged, the rest capped."""
-    weight = rows.log_weight - logsumexp(rows.log_weight)
+    weight = rows.log_weight - log_sum_exp(rows.log_weight)
     order = np.argsort(-weight, kind="stable")
     order = order[weight[order] > weight[order[0]] - config.prune_nats]
     merged = _merge(rows.take(order))
@@ -54,7 +53,7 @@ def _merge(rows: Rows) -> Rows:
             continue
         free[group] = False
         members = np.concatenate([[i], group])
-        total = logsumexp(rows.log_weight[members])
+        total = log_sum_exp(rows.log_weight[members])
         weight = np.exp(rows.log_weight[members] - total)
         rows.log_weight[i] = total
         rows.mean[i], rows.covariance[i] = moments(weight, rows.mean[members], rows.covariance[members])

@@ -134,16 +134,13 @@ def correct(
     ratio = np.where(used[:, :, None, :], 0.0, ratio)
     association = associate(ratio)
     log_evidence = log_evidence + np.sum(association.log_evidence + np.sum(np.log1p(-rest), axis=-1), axis=-1)
-    parent, ratio, log_share = _split(association.probability, ratio, innovation, spread, variance)
-    mean, covariance, visibility, active = (
-        mean[parent],
-        covariance[parent],
-        visibility[parent],
-        active[parent],
-    )
-    log_evidence, spread, innovation = log_evidence[parent] + log_share, spread[parent], innovation[parent]
-    taken, used, chosen, jacobian = taken[parent], used[parent], chosen[parent], prediction.jacobian[parent]
-    share = associate(ratio).probability  # (R, K, F, M)
+    share, jacobian = association.probability, prediction.jacobian  # (R, K, F, M), (R, K, F, n)
+    parent, decided, log_share = _split(share, ratio, innovation, spread, variance)
+    if decided is not ratio:
+        mean, covariance, log_evidence = mean[parent], covariance[parent], log_evidence[parent] + log_share
+        visibility, active, taken, used = visibility[parent], active[parent], taken[parent], used[parent]
+        spread, innovation, chosen = spread[parent], innovation[parent], chosen[parent]
+        jacobian, share = jacobian[parent], associate(decided).probability
     heard = share.sum(axis=-1)
     weight = np.maximum(heard, 1e-12)
     expected = np.sum(share * innovation, axis=-1) / weight
@@ -180,7 +177,7 @@ def _split(
     parent : ndarray of int64, shape (S,)
         Row that each new row comes from.
     ratio : ndarray, shape (S, K, F, M)
-        Association ratios of the new rows.
+        Association ratios of the new rows; the very array given if no row splits.
     log_share : ndarray, shape (S,)
         Log probability of the alternative.
     """
@@ -191,6 +188,8 @@ def _split(
     scatter = np.sum(share * shift**2, axis=-1) - first**2
     left = np.maximum(np.min(spread[..., None] * noise / s, axis=-1), 1e-8)
     harm = (scatter / left).reshape(len(share), -1)
+    if harm.max() < _APART**2:
+        return np.arange(len(share)), ratio, np.zeros(len(share))
     worst = np.argmax(harm, axis=1)
     children: list[tuple[int, Array, float]] = []
     for r in range(len(share)):
