@@ -12,10 +12,11 @@ from fastapi import FastAPI
 from service import problems
 from service.auth import KeyRing
 from service.context import Context
+from service.database import opened
 from service.middleware import RequestMiddleware
 from service.routes import events, health, measurements, pages, sessions, state, uploads
 from service.settings import Settings
-from service.store import Store, opened
+from service.store import Store
 from service.telemetry import Metrics
 from service.workers import StepPool
 

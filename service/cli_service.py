@@ -90,8 +90,8 @@ def push(
 
 @contextmanager
 def _opened(database: str | None, config: Path | None) -> Iterator[Engine]:
+    from service.database import opened
     from service.settings import load_settings
-    from service.store import opened
 
     settings = load_settings(config, database_url=database)
     with opened(settings.url, settings.lock_timeout_s) as engine:

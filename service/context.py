@@ -113,7 +113,7 @@ class Context:
         self.bell.ring_all()
 
 
-def context(request: Request) -> Context:
+async def context(request: Request) -> Context:
     """The application's context."""
     found: Context = request.app.state.context
     return found

@@ -16,6 +16,7 @@ import numpy as np
 
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp
 from estimator.slam import Estimate
+from estimator.slam.candidates import Candidate
 
 __all__ = [
     "dump",
@@ -91,24 +92,55 @@ def estimate_document(
                 "located": bool(located),
                 "position_m": place.tolist() if located else None,
                 "covariance_m2": covariance.tolist() if located else None,
+                "existence": float(existence),
             }
-            for name, located, place, covariance in zip(
+            for name, located, place, covariance, existence in zip(
                 anchors,
                 estimate.anchor_valid,
                 estimate.anchor_mean_m,
                 estimate.anchor_covariance_m2,
+                estimate.anchor_existence,
                 strict=True,
             )
         ],
         "walls": [
-            {"id": int(number), "vrp_m": vrp.tolist(), "covariance_m2": covariance.tolist()}
-            for number, vrp, covariance in zip(
-                estimate.wall_id, estimate.wall_mean_m, estimate.wall_covariance_m2, strict=True
+            {
+                "id": int(number),
+                "vrp_m": vrp.tolist(),
+                "covariance_m2": covariance.tolist(),
+                "existence": float(existence),
+            }
+            for number, vrp, covariance, existence in zip(
+                estimate.wall_id,
+                estimate.wall_mean_m,
+                estimate.wall_covariance_m2,
+                estimate.wall_existence,
+                strict=True,
             )
         ],
         "hypotheses": int(estimate.hypotheses),
+        "candidates": [_candidate(entry) for entry in estimate.candidates],
         "log_evidence": float(estimate.log_evidence),
     }
+
+
+def _candidate(candidate: Candidate) -> dict[str, Any]:
+    pairs = zip(candidate.wall_id.tolist(), candidate.wall_mean_m.tolist(), strict=True)
+    return {
+        "weight": candidate.weight,
+        "position_m": candidate.agent_m.tolist(),
+        "walls": [{"id": number, "vrp_m": vrp} for number, vrp in pairs],
+    }
+
+
+def _read_candidate(document: dict[str, Any]) -> Candidate:
+    walls = document["walls"]
+    return Candidate(
+        document["weight"],
+        np.array(document["position_m"]),
+        np.array([wall["id"] for wall in walls], dtype=np.int64),
+        np.array([wall["vrp_m"] for wall in walls], dtype=np.float64).reshape(-1, 2),
+    )
 
 
 def read_estimate(document: dict[str, Any]) -> Estimate:
@@ -131,4 +163,7 @@ def read_estimate(document: dict[str, Any]) -> Estimate:
         ),
         hypotheses=document["hypotheses"],
         log_evidence=document["log_evidence"],
+        anchor_existence=np.array([anchor["existence"] for anchor in anchors], dtype=np.float64),
+        wall_existence=np.array([wall["existence"] for wall in walls], dtype=np.float64),
+        candidates=tuple(_read_candidate(entry) for entry in document["candidates"]),
     )

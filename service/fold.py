@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from estimator.slam.run import config_for, engine_for
 from estimator.threads import one_blas_thread
 from service.documents import dump, estimate_document, read_epoch, read_sweep
 
-__all__ = ["Folded", "Job", "StateCache", "digest", "engine_of", "fold", "measurement_set"]
+__all__ = ["Folded", "ForgottenError", "Job", "StateCache", "digest", "engine_of", "fold", "measurement_set"]
 
 _LARGEST_COUNT = 2_000  # of hypotheses, epochs and so on: what a noise model may ask for
 
@@ -40,9 +41,12 @@ class Job:
     sweeps : tuple of str
         Its sweeps, as in the log; looked at if there is no snapshot.
     snapshot : bytes or None
-        The state to start from; None for the state before the first epoch.
+        The state to start from; None for the state before the first epoch, or for one that the
+        worker may remember.
     epochs : tuple of str
         The epochs that follow, as in the log.
+    remembered : bytes, optional
+        Digest of the snapshot to start from, instead of the snapshot.
     """
 
     session_id: str
@@ -50,6 +54,7 @@ class Job:
     sweeps: tuple[str, ...]
     snapshot: bytes | None
     epochs: tuple[str, ...]
+    remembered: bytes | None = None
 
     def run(self, cache: StateCache) -> Folded:
         """Fold it; see :func:`fold`."""
@@ -64,12 +69,19 @@ class Folded:
     ----------
     snapshot : bytes
         The state after the last epoch.
+    sha256 : bytes
+        Its digest.
     estimates : tuple of dict
         A row of the table ``estimates`` for each epoch, without the session.
     """
 
     snapshot: bytes
+    sha256: bytes
     estimates: tuple[dict[str, Any], ...]
+
+
+class ForgottenError(Exception):
+    """The worker does not remember the state; it needs the snapshot."""
 
 
 class StateCache:
@@ -83,15 +95,15 @@ class StateCache:
         self._size = size
         self._states: dict[str, tuple[bytes, Any]] = {}
 
-    def get(self, session_id: str, snapshot: bytes) -> Any | None:
-        """The state of a session, if its snapshot is the one given."""
+    def get(self, session_id: str, sha256: bytes) -> Any | None:
+        """The state of a session, if its snapshot is the one with that digest."""
         known, state = self._states.get(session_id, (b"", None))
-        return state if known == digest(snapshot) else None
+        return state if known == sha256 else None
 
-    def put(self, session_id: str, snapshot: bytes, state: Any) -> None:
+    def put(self, session_id: str, sha256: bytes, state: Any) -> None:
         """Keep a state; the longest unused one is forgotten."""
         self._states.pop(session_id, None)
-        self._states[session_id] = digest(snapshot), state
+        self._states[session_id] = sha256, state
         if len(self._states) > self._size:
             self._states.pop(next(iter(self._states)))
 
@@ -152,13 +164,15 @@ def fold(job: Job, cache: StateCache | None = None) -> Folded:
         If the engine cannot take an epoch, or its estimates are not finite.
     FileFormatError
         If the snapshot is damaged.
+    ForgottenError
+        If the state to start from is given by its digest and not in the cache.
     """
-    config = json.loads(job.config)
-    engine = engine_of(config)
-    state: Any = None
-    if job.snapshot is not None:
-        state = cache.get(job.session_id, job.snapshot) if cache else None
-        state = engine.load(job.snapshot) if state is None else state
+    config, engine = _configured(job.config)
+    state = None if job.snapshot is None else engine.load(job.snapshot)
+    if job.remembered is not None:
+        state = cache.get(job.session_id, job.remembered) if cache is not None else None
+        if state is None:
+            raise ForgottenError
     rows = []
     try:
         if state is None:
@@ -172,9 +186,17 @@ def fold(job: Job, cache: StateCache | None = None) -> Folded:
     except (ArithmeticError, np.linalg.LinAlgError, IndexError, MemoryError) as error:
         raise InputError(f"the {engine.name} engine cannot take these measurements: {error}") from error
     snapshot = engine.save(state)
+    sha256 = digest(snapshot)
     if cache is not None:
-        cache.put(job.session_id, snapshot, state)
-    return Folded(snapshot, tuple(rows))
+        cache.put(job.session_id, sha256, state)
+    return Folded(snapshot, sha256, tuple(rows))
+
+
+@lru_cache(maxsize=256)
+def _configured(text: str) -> tuple[Mapping[str, Any], Engine]:
+    """A session's configuration and engine; both are only read."""
+    config = json.loads(text)
+    return config, engine_of(config)
 
 
 def _row(document: dict[str, Any]) -> dict[str, Any]:

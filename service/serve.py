@@ -14,8 +14,8 @@ import uvicorn
 from estimator.errors import ConfigurationError
 from service.app import create_app
 from service.auth import KeyRing, is_loopback
+from service.database import opened
 from service.settings import Settings
-from service.store import opened
 from service.telemetry import configure_logs
 
 __all__ = ["check_binding", "serve"]

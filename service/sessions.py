@@ -11,7 +11,7 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -21,7 +21,7 @@ from estimator.errors import FileFormatError, InputError
 from estimator.measurements import Epoch, GaussianVrp
 from service.documents import epoch_text, sweep_text
 from service.errors import BusyError, ConflictError, TooLargeError
-from service.fold import Folded, Job, digest
+from service.fold import Folded, ForgottenError, Job, digest
 from service.store import RevisionError, Step, Store
 
 __all__ = ["Taken", "new_session_id", "rebuild", "take_epochs", "take_sweep"]
@@ -170,6 +170,12 @@ def _advance(step: Step, pool: Folder, epochs: tuple[str, ...]) -> Folded:
     row = step.row
     if row.next_epoch == 0:
         return pool.fold(Job(row.id, row.config, _sweeps(step), None, epochs))
+    known = step.digest()
+    if known is not None:
+        try:
+            return pool.fold(Job(row.id, row.config, (), None, epochs, known))
+        except ForgottenError:
+            pass  # the worker is new, or has had too many other sessions
     kept = step.snapshot()
     if kept is not None and digest(kept[0]) == kept[1]:
         try:
@@ -181,7 +187,7 @@ def _advance(step: Step, pool: Folder, epochs: tuple[str, ...]) -> Folded:
     structlog.get_logger().warning("snapshot damaged, rebuilt from the log", session=row.id, reason=reason)
     past = tuple(step.known("epoch", 0, row.next_epoch - 1).values())
     folded = pool.fold(Job(row.id, row.config, _sweeps(step), None, past + epochs))
-    return Folded(folded.snapshot, folded.estimates[len(past) :])
+    return replace(folded, estimates=folded.estimates[len(past) :])
 
 
 def _sweeps(step: Step) -> tuple[str, ...]:

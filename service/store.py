@@ -1,133 +1,45 @@
-"""The database: opening it, and the transactions on sessions.
+"""The transactions on sessions.
 
-SQLite (write-ahead log, full sync) and PostgreSQL through one code path. The
-measurement log, the snapshot and the estimates of a request are one transaction, made
-only if the session's revision is still the one that was read. On PostgreSQL the
-session's row is locked meanwhile, so that a second process waits instead of computing in
-vain; on SQLite, where a lock would stop all sessions, it finds the revision changed and
-begins anew.
+SQLite and PostgreSQL through one code path. The measurement log, the snapshot and the
+estimates of a request are one transaction, made only if the session's revision is still the
+one that was read. On PostgreSQL the session's row is locked meanwhile, so that a second
+process waits instead of computing in vain; on SQLite, where a lock would stop all sessions,
+it finds the revision changed and begins anew.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
-from alembic import command
-from alembic.config import Config
-from alembic.util import CommandError
-from sqlalchemy import URL, Connection, Engine, Row, event
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy import Connection, Engine, Row
 
-from service.errors import DatabaseError, NotFoundError
-from service.fold import Folded, digest
+from service.errors import NotFoundError
+from service.fold import Folded
 from service.tables import estimates, measurements, sessions, snapshots, truths
+from service.writes import GroupWriter, RevisionError, Write, apply
 
-__all__ = ["RevisionError", "Step", "Store", "opened"]
+__all__ = ["RevisionError", "Step", "Store"]
 
-_MIGRATION_LOCK = 7_305_826  # any number that no one else locks on
-
-
-class RevisionError(Exception):
-    """Another process took measurements into the session meanwhile; begin anew."""
-
-
-def open_engine(url: URL, lock_timeout_s: float) -> Engine:
-    """A connection pool with the service's transaction rules.
-
-    Parameters
-    ----------
-    url : URL
-        Database.
-    lock_timeout_s : float
-        How long to wait for locks, and for a free connection.
-    """
-    if url.get_backend_name() == "postgresql":
-        milliseconds = round(1000 * lock_timeout_s)
-        return sa.create_engine(
-            url,
-            pool_size=16,
-            max_overflow=48,
-            pool_timeout=lock_timeout_s,
-            pool_pre_ping=True,
-            connect_args={
-                "options": f"-c lock_timeout={milliseconds} -c timezone=utc",
-                "connect_timeout": max(2, round(lock_timeout_s)),
-            },
-        )
-    engine = sa.create_engine(
-        url,
-        pool_size=16,
-        max_overflow=48,
-        pool_timeout=lock_timeout_s,
-        connect_args={"timeout": lock_timeout_s, "check_same_thread": False, "isolation_level": None},
-    )
-
-    @event.listens_for(engine, "connect")
-    def _configure(connection: Any, _: object) -> None:
-        for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
-            connection.execute(f"PRAGMA {pragma}")
-
-    @event.listens_for(engine, "begin")
-    def _begin(connection: Connection) -> None:
-        write = connection.get_execution_options().get("write", False)
-        connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
-
-    return engine
-
-
-def migrate(engine: Engine) -> None:
-    """Bring the tables up to date; processes that start together take turns."""
-    config = Config()
-    config.set_main_option("script_location", str(Path(__file__).with_name("migrations")))
-    config.set_main_option("path_separator", "os")
-    with engine.connect().execution_options(write=True) as connection, connection.begin():
-        if engine.dialect.name == "postgresql":
-            connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_MIGRATION_LOCK)))
-        config.attributes["connection"] = connection
-        command.upgrade(config, "head")
-
-
-@contextmanager
-def opened(url: URL, lock_timeout_s: float) -> Iterator[Engine]:
-    """A database with its tables up to date, closed afterwards.
-
-    Raises
-    ------
-    DatabaseError
-        If it cannot be reached, read or written.
-    """
-    engine = open_engine(url, lock_timeout_s)
-    try:
-        try:
-            migrate(engine)
-        except (DBAPIError, CommandError) as error:
-            reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
-            raise DatabaseError(
-                f"database {url.render_as_string()}: expected one that can be opened: {reason}"
-            ) from error
-        yield engine
-    finally:
-        engine.dispose()
+_SESSION: sa.BindParameter[str] = sa.bindparam("session")
+_OF_ALL = sa.select(sessions).where(sessions.c.id == _SESSION)
+_OF_KEY = _OF_ALL.where(sessions.c.key_id == sa.bindparam("key"))
+_OF_NO_KEY = _OF_ALL.where(sessions.c.key_id.is_(None))
+_DIGEST = sa.select(snapshots.c.sha256).where(snapshots.c.session_id == _SESSION)
+_SNAPSHOT = sa.select(snapshots.c.state, snapshots.c.sha256).where(snapshots.c.session_id == _SESSION)
 
 
 class Step:
     """A session while measurements are taken into it: what was read, and the commit."""
 
-    def __init__(
-        self,
-        connection: Connection,
-        row: Row[Any],
-        writing: Callable[[], AbstractContextManager[Connection]] | None,
-    ) -> None:
+    def __init__(self, connection: Connection, row: Row[Any], writer: GroupWriter | None) -> None:
         self.row = row
         self._connection = connection
-        self._writing = writing
+        self._writer = writer
 
     def known(self, kind: str, first: int, last: int) -> dict[int, str]:
         """The log's entries of a kind with numbers from ``first`` to ``last``."""
@@ -140,10 +52,14 @@ class Step:
             row.number: row.body for row in self._connection.execute(query.order_by(measurements.c.number))
         }
 
+    def digest(self) -> bytes | None:
+        """The digest that was written with the state after the last epoch."""
+        found = self._connection.execute(_DIGEST, {"session": self.row.id}).scalar_one_or_none()
+        return None if found is None else bytes(found)
+
     def snapshot(self) -> tuple[bytes, bytes] | None:
         """The state after the last epoch and its digest as it was written."""
-        query = sa.select(snapshots.c.state, snapshots.c.sha256)
-        row = self._connection.execute(query.where(snapshots.c.session_id == self.row.id)).one_or_none()
+        row = self._connection.execute(_SNAPSHOT, {"session": self.row.id}).one_or_none()
         return None if row is None else (bytes(row.state), bytes(row.sha256))
 
     def commit(
@@ -160,42 +76,14 @@ class Step:
         RevisionError
             If the session has moved on since it was read.
         """
-        if self._writing is None:
-            self._write(self._connection, kind, entries, folded, time_s)
+        write = Write(self.row.id, self.row.revision, kind, entries, folded, time_s)
+        if self._writer is not None:
+            self._connection.rollback()
+            self._writer.commit(write)
             return
-        self._connection.rollback()
-        with self._writing() as connection:
-            self._write(connection, kind, entries, folded, time_s)
-
-    def _write(
-        self,
-        connection: Connection,
-        kind: str,
-        entries: Sequence[tuple[int, str]],
-        folded: Folded | None,
-        time_s: float | None,
-    ) -> None:
-        row, session_id = self.row, self.row.id
-        moved: dict[str, Any] = {"revision": row.revision + 1, "updated_at": datetime.now(UTC)}
-        moved[f"next_{kind}"] = entries[-1][0] + 1
-        if time_s is not None:
-            moved["time_s"] = time_s
-        update = sa.update(sessions).where(sessions.c.id == session_id, sessions.c.revision == row.revision)
-        if connection.execute(update.values(**moved)).rowcount != 1:
-            raise RevisionError
-        connection.execute(
-            sa.insert(measurements),
-            [{"session_id": session_id, "kind": kind, "number": n, "body": body} for n, body in entries],
-        )
-        if folded is None:
-            return
-        connection.execute(
-            sa.insert(estimates), [{"session_id": session_id, **row} for row in folded.estimates]
-        )
-        kept = {"epoch": entries[-1][0], "state": folded.snapshot, "sha256": digest(folded.snapshot)}
-        replaced = sa.update(snapshots).where(snapshots.c.session_id == session_id)
-        if connection.execute(replaced.values(**kept)).rowcount == 0:
-            connection.execute(sa.insert(snapshots).values(session_id=session_id, **kept))
+        apply(self._connection, [write])
+        if write.error is not None:
+            raise write.error
 
 
 class Store:
@@ -209,7 +97,8 @@ class Store:
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
-        self._guard, self._writer = threading.Lock(), threading.Lock()
+        self._guard = threading.Lock()
+        self._writer = GroupWriter(self._transaction)
         self._locks: dict[str, tuple[threading.Lock, int]] = {}
 
     @contextmanager
@@ -223,11 +112,8 @@ class Store:
         """
         postgres = self.engine.dialect.name == "postgresql"
         with self._turn(session_id), self.engine.connect() as connection:
-            query = _visible(session_id, key_id)
-            row = connection.execute(query.with_for_update() if postgres else query).one_or_none()
-            if row is None:
-                raise NotFoundError(_nothing(session_id))
-            yield Step(connection, row, None if postgres else self.writing)
+            row = _found(connection, session_id, key_id, lock=postgres)
+            yield Step(connection, row, None if postgres else self._writer)
             connection.commit()
 
     @contextmanager
@@ -252,19 +138,17 @@ class Store:
                 connection = connection.execution_options(isolation_level="REPEATABLE READ")
             yield connection
 
-    @contextmanager
-    def writing(self) -> Iterator[Connection]:
+    def writing(self) -> AbstractContextManager[Connection]:
         """A connection whose changes are committed at the end.
 
         SQLite has one writer at a time and lets the others poll; the threads of this process
         queue up instead, so that none of them starves.
         """
-        alone = self._writer if self.engine.dialect.name == "sqlite" else nullcontext()
-        with (
-            alone,
-            self.engine.connect().execution_options(write=True) as connection,
-            connection.begin(),
-        ):
+        return self._writer.alone() if self.engine.dialect.name == "sqlite" else self._transaction()
+
+    @contextmanager
+    def _transaction(self) -> Iterator[Connection]:
+        with self.engine.connect().execution_options(write=True) as connection, connection.begin():
             yield connection
 
     def session(self, session_id: str, key_id: str | None, connection: Connection | None = None) -> Row[Any]:
@@ -278,10 +162,7 @@ class Store:
         if connection is None:
             with self.reading() as connection:
                 return self.session(session_id, key_id, connection)
-        row = connection.execute(_visible(session_id, key_id)).one_or_none()
-        if row is None:
-            raise NotFoundError(_nothing(session_id))
-        return row
+        return _found(connection, session_id, key_id)
 
     def sessions(self, key_id: str | None, before: str | None, limit: int) -> Sequence[Row[Any]]:
         """Sessions of a key, the newest first, those older than ``before``."""
@@ -360,8 +241,14 @@ def _owned(key_id: str | None) -> sa.ColumnElement[bool]:
     return sessions.c.key_id.is_(None) if key_id is None else sessions.c.key_id == key_id
 
 
-def _visible(session_id: str, key_id: str | None) -> sa.Select[Any]:
-    return sa.select(sessions).where(sessions.c.id == session_id, _owned(key_id))
+def _found(connection: Connection, session_id: str, key_id: str | None, lock: bool = False) -> Row[Any]:
+    """A session's row, locked if asked for; raises NotFoundError."""
+    query = _OF_NO_KEY if key_id is None else _OF_KEY
+    given = {"session": session_id} if key_id is None else {"session": session_id, "key": key_id}
+    row = connection.execute(query.with_for_update() if lock else query, given).one_or_none()
+    if row is None:
+        raise NotFoundError(_nothing(session_id))
+    return row
 
 
 def _nothing(session_id: str) -> str:

@@ -18,10 +18,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from estimator.channel.nomp import NompPlan
 from estimator.dataset import KINDS, MANIFEST, open_dataset
 from estimator.errors import FileFormatError, InputError
-from estimator.extract import extract
 from estimator.measurements import AnchorPaths, Epoch, MeasurementSet, load_measurements
 from estimator.waveform import OfdmGrid
 from service.errors import TooLargeError
@@ -63,6 +61,8 @@ class ChannelsTask:
     def run(self, cache: StateCache) -> tuple[Epoch, ...]:
         """Read the file and estimate; raises FileFormatError or InputError."""
         del cache
+        from estimator.channel.nomp import NompPlan  # of the workers alone: the server starts sooner
+
         data = _columns(_arrays(self.body, self.max_unpacked_bytes))
         real, imaginary = data["cfr_re"], data["cfr_im"]
         if real.shape != imaginary.shape:
@@ -209,6 +209,8 @@ def _check_netcdf(file: Path, limit: int) -> None:
 
 def _dataset(body: bytes, folder: Path, limit: int) -> Unpacked:
     """Unpack a dataset under names of our own and estimate its measurements."""
+    from estimator.extract import extract
+
     try:
         with zipfile.ZipFile(io.BytesIO(body)) as archive:
             _check_archive(archive, limit)

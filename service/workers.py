@@ -1,6 +1,6 @@
-"""Long-lived processes that step sessions, each with its queue; a session keeps its worker.
+"""Long-lived processes that step sessions; a session keeps its worker.
 
-The queues are bounded: who finds a full one is told to come again. A worker that
+So many may wait for a worker and no more: who comes then is told to come again. A worker that
 exceeds its time or dies is replaced; what it had in work was not committed, so
 nothing is lost. Workers end with the server, even if it was killed.
 """
@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import queue
+import select
 import signal
 import threading
 import warnings
 import zlib
-from concurrent.futures import Future
 from multiprocessing.connection import Connection, wait
 from types import TracebackType
 from typing import Any, Protocol, TypeVar
@@ -115,65 +114,51 @@ class StepPool:
         if not self._workers:
             with self._own:
                 return task.run(self._cache)
-        worker = self._workers[zlib.crc32(key.encode()) % len(self._workers)]
-        result: T = worker.submit(task).result()
+        result: T = self._workers[zlib.crc32(key.encode()) % len(self._workers)].do(task)
         return result
 
 
 class _Worker:
-    """A process, the queue before it, and the thread that feeds it."""
+    """A process that does one task at a time, and those who wait for it."""
 
     def __init__(self, max_waiting: int, timeout_s: float) -> None:
-        self._timeout_s = timeout_s
-        self._queue: queue.Queue[tuple[Task[Any], Future[Any]] | None] = queue.Queue(max_waiting)
-        self._thread = threading.Thread(target=self._feed, daemon=True, name="hapslam-worker")
-        self._busy = False
-
-    @property
-    def waiting(self) -> int:
-        return self._queue.qsize() + self._busy
+        self._timeout_s, self._max_waiting = timeout_s, max_waiting
+        self._turn, self._guard = threading.Lock(), threading.Lock()
+        self.waiting = 0
 
     def start(self) -> None:
-        self._spawn()
-        self._thread.start()
-
-    def stop(self) -> None:
-        self._queue.put(None)
-        self._thread.join(self._timeout_s)
-        self._process.kill()
-        self._process.join()
-        self._connection.close()
-
-    def submit(self, task: Task[Any]) -> Future[Any]:
-        future: Future[Any] = Future()
-        try:
-            self._queue.put_nowait((task, future))
-        except queue.Full:
-            raise BusyError(f"expected a free worker, {self._queue.qsize()} requests wait already") from None
-        return future
-
-    def _spawn(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
         self._process.start()
         theirs.close()
+        self._answered = select.poll()
+        self._answered.register(self._connection.fileno(), select.POLLIN)
 
-    def _feed(self) -> None:
-        while (item := self._queue.get()) is not None:
-            task, future = item
-            self._busy = True
-            try:
-                future.set_result(self._ask(task))
-            except BaseException as error:
-                future.set_exception(error)
-            finally:
-                self._busy = False
+    def stop(self) -> None:
+        taken = self._turn.acquire(timeout=self._timeout_s)  # what is in work is finished
+        self._process.kill()
+        self._process.join()
+        self._connection.close()
+        if taken:
+            self._turn.release()
+
+    def do(self, task: Task[Any]) -> Any:
+        with self._guard:
+            if self.waiting > self._max_waiting:
+                raise BusyError(f"expected a free worker, {self.waiting} requests wait already")
+            self.waiting += 1
+        try:
+            with self._turn:
+                return self._ask(task)
+        finally:
+            with self._guard:
+                self.waiting -= 1
 
     def _ask(self, task: Task[Any]) -> Any:
         try:
             self._connection.send(task)
-            if not self._connection.poll(self._timeout_s):
+            if not self._answered.poll(1000.0 * self._timeout_s):
                 self._replace()
                 raise StepTimeoutError(f"expected the step to take at most {self._timeout_s:g} s, gave it up")
             value, problem = self._connection.recv()
@@ -190,4 +175,4 @@ class _Worker:
         self._process.kill()
         self._process.join()
         self._connection.close()
-        self._spawn()
+        self.start()

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.geometry import rotation_matrix
+from estimator.slam.candidates import Candidate, candidates
 from estimator.slam.config import GaussianConfig
 from estimator.slam.hypotheses import moments
 from estimator.slam.state import GaussianState
@@ -41,6 +42,13 @@ class Estimate:
         Number of hypotheses (or particles) behind the estimate.
     log_evidence : float
         Log of the evidence of all epochs so far.
+    anchor_existence : ndarray, shape (K,)
+        Probability that the anchor stands where it is said to, 0 where not located.
+    wall_existence : ndarray, shape (J,)
+        Probability that the wall exists, (35).
+    candidates : tuple of Candidate
+        The likeliest hypotheses one by one, the likeliest first; of engines that keep marginals
+        alone, the walls not found yet, each with its probability of existence.
     """
 
     agent_mean: Array
@@ -54,6 +62,9 @@ class Estimate:
     wall_covariance_m2: Array
     hypotheses: int
     log_evidence: float
+    anchor_existence: Array
+    wall_existence: Array
+    candidates: tuple[Candidate, ...]
 
 
 def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
@@ -87,15 +98,20 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         np.full((layout.anchors, 2), np.nan),
         np.full((layout.anchors, 2, 2), np.nan),
     )
+    anchor_existence = np.zeros(layout.anchors)
     for k in np.flatnonzero(valid):
+        anchor_existence[k] = min(float(weight[rows.located[:, k]].sum()), 1.0)
         xy = layout.anchor_xy(int(k))
         anchors[k], anchor_covariances[k] = place(rows.located[:, k], xy)
     found = np.flatnonzero(state.slots.confirmed & rows.present[best])
     walls, wall_covariances = np.empty((found.size, 2)), np.empty((found.size, 2, 2))
+    wall_existence = np.zeros(found.size)
     for j, slot in enumerate(found):
         xy = layout.wall(int(slot))
         near = np.linalg.norm(rows.mean[:, xy] - rows.mean[best, xy], axis=1) < config.confirm_radius_m
-        walls[j], wall_covariances[j] = place(rows.present[:, slot] & near, xy)
+        standing = rows.present[:, slot] & near
+        walls[j], wall_covariances[j] = place(standing, xy)
+        wall_existence[j] = min(float(weight[standing].sum()), 1.0)
     return Estimate(
         agent[0],
         agent[1],
@@ -108,6 +124,9 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         wall_covariances,
         len(rows),
         state.log_evidence,
+        anchor_existence,
+        wall_existence,
+        candidates(state),
     )
 
 

@@ -29,12 +29,13 @@ from numpy.typing import NDArray
 
 from estimator.errors import InputError
 from estimator.measurements import Epoch
+from estimator.slam.candidates import LEAST_WEIGHT, MOST, Candidate
 from estimator.slam.engine import Prior
 from estimator.slam.estimate import Estimate
 from estimator.slam.methods import Method
 from estimator.slam.particle_anchors import locate_anchors, remember_paths, ring_anchors
 from estimator.slam.particle_births import merged, pruned, vrp_between
-from estimator.slam.particle_cloud import gaussian_cloud, moments_of
+from estimator.slam.particle_cloud import Cloud, gaussian_cloud, moments_of
 from estimator.slam.particle_config import ParticleConfig
 from estimator.slam.particle_state import (
     Features,
@@ -47,6 +48,7 @@ from estimator.slam.particle_step import hear_anchor, predict
 __all__ = ["ParticleEngine"]
 
 Array = NDArray[np.float64]
+Wall = tuple[int, Array, Array, float]
 
 
 @dataclass(frozen=True)
@@ -169,11 +171,14 @@ class ParticleEngine:
             anchor_valid=state.located.copy(),
             anchor_mean_m=anchors,
             anchor_covariance_m2=spreads,
-            wall_id=np.array([number for number, _, _ in walls], dtype=np.int64),
-            wall_mean_m=np.array([place for _, place, _ in walls]).reshape(-1, 2),
-            wall_covariance_m2=np.array([spread for _, _, spread in walls]).reshape(-1, 2, 2),
+            wall_id=np.array([number for number, _, _, _ in walls], dtype=np.int64),
+            wall_mean_m=np.array([place for _, place, _, _ in walls]).reshape(-1, 2),
+            wall_covariance_m2=np.array([spread for _, _, spread, _ in walls]).reshape(-1, 2, 2),
             hypotheses=state.particles,
             log_evidence=state.log_evidence,
+            anchor_existence=state.located.astype(np.float64),
+            wall_existence=np.array([existence for _, _, _, existence in walls], dtype=np.float64),
+            candidates=self._candidates(state, mean[:2]),
         )
 
     def save(self, state: ParticleState) -> bytes:
@@ -187,29 +192,49 @@ class ParticleEngine:
             raise InputError(f"state: expected one of method {self.method.name}, got {state.method}")
         return state
 
-    def _walls(self, state: ParticleState) -> list[tuple[int, Array, Array]]:
-        """Identity, mean and covariance of the walls that are found, oldest first."""
-        features = state.features
-        found: list[tuple[int, Array, Array]] = []
-        for j in np.flatnonzero(features.existence >= self.config.detect_threshold):
-            cloud, owner = features.points_m[j], int(features.owner[j])
-            if owner >= 0:
-                cloud = vrp_between(state.anchors_m[owner], cloud)
-            wall = (int(features.wall_id[j]), *moments_of(cloud))
+    def _walls(self, state: ParticleState) -> list[Wall]:
+        """Identity, mean, covariance and probability of the walls that are found, oldest first."""
+        existence = state.features.existence
+        found: list[Wall] = []
+        for j in np.flatnonzero(existence >= self.config.detect_threshold):
+            mean, covariance = moments_of(_vrp_cloud(state, int(j)))
+            wall = (int(state.features.wall_id[j]), mean, covariance, min(float(existence[j]), 1.0))
             for i, other in enumerate(found):
                 if np.linalg.norm(wall[1] - other[1]) < self.config.similarity_m:
-                    if np.trace(wall[2]) < np.trace(other[2]):
-                        found[i] = (other[0], wall[1], wall[2])
+                    surer = max(wall[3], other[3])
+                    better = wall if np.trace(wall[2]) < np.trace(other[2]) else other
+                    found[i] = (other[0], better[1], better[2], surer)
                     break
             else:
                 found.append(wall)
         return sorted(found, key=lambda entry: entry[0])
 
+    def _candidates(self, state: ParticleState, agent_m: Array) -> tuple[Candidate, ...]:
+        """The walls that are not found yet, the likeliest first."""
+        existence = state.features.existence
+        order = np.argsort(-existence, kind="stable")
+        waiting = [j for j in order if LEAST_WEIGHT <= existence[j] < self.config.detect_threshold]
+        return tuple(
+            Candidate(
+                float(existence[j]),
+                agent_m,
+                state.features.wall_id[[j]],
+                moments_of(_vrp_cloud(state, int(j)))[0][None],
+            )
+            for j in waiting[:MOST]
+        )
 
-def _rotation_std(walls: list[tuple[int, Array, Array]]) -> float:
+
+def _vrp_cloud(state: ParticleState, j: int) -> Cloud:
+    """A feature's particles as VRPs, whatever it is kept as."""
+    cloud, owner = state.features.points_m[j], int(state.features.owner[j])
+    return cloud if owner < 0 else vrp_between(state.anchors_m[owner], cloud)
+
+
+def _rotation_std(walls: list[Wall]) -> float:
     """Standard deviation of the rotation, radians; uniform on the circle without walls."""
     information = 3.0 / np.pi**2
-    for _, mean, covariance in walls:
+    for _, mean, covariance, _ in walls:
         square = float(mean @ mean)
         tangent = np.array([-mean[1], mean[0]])
         information += square**2 / max(float(tangent @ covariance @ tangent), 1e-12)

@@ -8,7 +8,7 @@ from dataclasses import fields
 import numpy as np
 
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
-from estimator.slam import Estimate, Prior, epoch_rng
+from estimator.slam import Prior, epoch_rng
 from estimator.slam.run import config_for, engine_for
 from service.documents import epoch_text, estimate_document, read_epoch, read_estimate
 from service.epoch_schemas import EpochsRequest
@@ -73,6 +73,9 @@ def test_estimates_survive_their_document(walk: MeasurementSet) -> None:
         estimate = engine.estimate(state)
         document = json.loads(json.dumps(estimate_document(0, 0.0, walk.anchors, estimate), allow_nan=False))
         again = read_estimate(document)
-        for entry in fields(Estimate):
-            kept, shown = getattr(estimate, entry.name), getattr(again, entry.name)
-            assert np.array_equal(np.asarray(kept), np.asarray(shown), equal_nan=True), entry.name
+        assert estimate.candidates
+        for one, two in ((estimate, again), *zip(estimate.candidates, again.candidates, strict=True)):
+            for entry in fields(one):
+                if entry.name != "candidates":
+                    kept, shown = np.asarray(getattr(one, entry.name)), getattr(two, entry.name)
+                    assert np.array_equal(kept, np.asarray(shown), equal_nan=True), entry.name

@@ -21,9 +21,10 @@ from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
 from service.app import create_app
 from service.client import Client
+from service.database import opened
 from service.push import epoch_entry, session_entry, sweep_entry
 from service.settings import load_settings
-from service.store import Store, opened
+from service.store import Store
 from service.verify import verify
 from tests.service.harness import SEED, Postgres, Server, Uploads, postgres_programs
 

@@ -12,10 +12,10 @@ from fastapi.testclient import TestClient
 from estimator.errors import ConfigurationError
 from service.app import create_app
 from service.auth import KeyRing, is_loopback
+from service.database import opened
 from service.errors import DatabaseError, NotFoundError
 from service.serve import check_binding
 from service.settings import load_settings
-from service.store import opened
 from service.tables import api_keys
 
 
