@@ -5,7 +5,8 @@ horizontal plane, in radians. A uniform linear array (ULA) lies in the horizonta
 plane, its axis 90 degrees counter-clockwise of its boresight, its phase centre in
 the middle; element ``m`` of a wave *arriving from* (or leaving towards) azimuth
 ``az`` and elevation ``el`` has the phase ``+2 pi s (m - (M-1)/2) cos(el) sin(az - boresight)``
-with ``s`` the spacing in wavelengths.
+with ``s`` the spacing in wavelengths. A uniform planar array (UPA) has such rows one above the
+other, the lowest first; row ``r`` adds ``+2 pi s_r (r - (R-1)/2) sin(el)``.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import ConfigurationError
 
-__all__ = ["BeamSet", "UniformLinearArray", "element_gain"]
+__all__ = ["BeamSet", "UniformLinearArray", "UniformPlanarArray", "element_gain"]
 
 _ELEMENT_WIDTH_RAD = np.deg2rad(65.0)
 _ELEMENT_FLOOR_DB = 30.0
@@ -81,6 +82,53 @@ class UniformLinearArray:
         index = np.arange(self.elements) - 0.5 * (self.elements - 1)
         projection = np.cos(elevation_rad) * np.sin(azimuth - self.boresight_rad)
         return np.asarray(np.exp(2j * np.pi * self.spacing_wavelengths * projection[..., None] * index))
+
+
+@dataclass(frozen=True)
+class UniformPlanarArray:
+    """An upright UPA of isotropic elements: rows of a horizontal ULA, one above the other.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Number of rows, and of elements in each.
+    row_spacing_wavelengths, spacing_wavelengths : float
+        Distance between neighbours in a column and in a row, wavelengths.
+    boresight_rad : float
+        Azimuth of the broadside direction, radians.
+    """
+
+    rows: int = 1
+    columns: int = 1
+    row_spacing_wavelengths: float = 0.5
+    spacing_wavelengths: float = 0.5
+    boresight_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.rows < 1:
+            raise ConfigurationError(f"rows: expected at least 1, got {self.rows}")
+        if not 0.0 < self.row_spacing_wavelengths < np.inf:
+            raise ConfigurationError(
+                f"row_spacing_wavelengths: expected a positive number, got {self.row_spacing_wavelengths}"
+            )
+        self._row()
+
+    def _row(self) -> UniformLinearArray:
+        return UniformLinearArray(self.columns, self.spacing_wavelengths, self.boresight_rad)
+
+    @property
+    def elements(self) -> int:
+        """Elements of all rows."""
+        return self.rows * self.columns
+
+    def steering(self, azimuth_rad: ArrayLike, elevation_rad: ArrayLike = 0.0) -> NDArray[np.complex128]:
+        """Steering vectors, row by row from the lowest, shape ``broadcast(az, el).shape + (elements,)``."""
+        row = self._row().steering(azimuth_rad, elevation_rad)
+        height = np.arange(self.rows) - 0.5 * (self.rows - 1)
+        rise = np.sin(np.asarray(elevation_rad, dtype=np.float64))[..., None]
+        column = np.exp(2j * np.pi * self.row_spacing_wavelengths * rise * height)
+        whole = column[..., :, None] * row[..., None, :]
+        return np.asarray(whole.reshape(*row.shape[:-1], self.elements))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Who sends and who listens: the anchors and the agent of a plan, and their clocks."""
+"""Who sends, who listens and who stands about: anchors, agent and targets of a plan."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from raytrace.links import Count, Finite, NonNegative, Part, Positive, added
 
-__all__ = ["Agent", "Anchor", "Clock", "Name", "Point2", "Point3"]
+__all__ = ["Agent", "Anchor", "Clock", "Name", "Point2", "Point3", "Target"]
 
 Point2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
 Point3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
@@ -29,10 +29,16 @@ class Clock(Part):
 
 
 class Anchor(Part):
-    """A physical anchor: an isotropic, vertically polarised antenna, and a clock."""
+    """A physical anchor, and its clock.
+
+    Its array (``radio.anchor_array``) looks towards the azimuth ``boresight_deg`` of the
+    plan, turned down from the horizontal by ``downtilt_deg``.
+    """
 
     name: Name
     position_m: Point3
+    boresight_deg: Finite = added(0.0)
+    downtilt_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = added(0.0)
     clock: Clock = added(Clock())
 
 
@@ -53,3 +59,29 @@ class Agent(Part):
     heading_deg: Finite = 0.0
     orientation: Literal["fixed", "travel"] = added("fixed")
     clock: Clock = added(Clock())
+
+
+class Target(Part):
+    """A thing that echoes like a point: furniture, a person.
+
+    Its radar cross section is either ``rcs_m2`` in square metres or ``rcs_dbsm`` in decibels
+    over one. Targets are heard in the echo; they neither hide anything nor scatter what
+    anchors send.
+    """
+
+    name: Name
+    position_m: Point3
+    rcs_m2: Positive | None = None
+    rcs_dbsm: Finite | None = None
+
+    @model_validator(mode="after")
+    def _has_one_section(self) -> Target:
+        if (self.rcs_m2 is None) == (self.rcs_dbsm is None):
+            came = "neither" if self.rcs_m2 is None else "both"
+            raise ValueError(f"expected either rcs_m2 or rcs_dbsm, got {came}")
+        return self
+
+    @property
+    def section_m2(self) -> float:
+        """Radar cross section, square metres."""
+        return self.rcs_m2 if self.rcs_m2 is not None else float(10.0 ** ((self.rcs_dbsm or 0.0) / 10.0))

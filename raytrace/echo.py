@@ -2,14 +2,15 @@
 
 Two models, chosen by the plan. ``physical``: the path solver's specular returns (the
 flash off a wall at normal incidence, and returns over corners), plus diffuse ones where
-materials scatter. ``radar-equation``: the paper's (7) on traced hits. Transmitter
+materials scatter. ``radar-equation``: the paper's (7) on traced hits. In both, the
+plan's point targets return what the radar equation gives them. Transmitter
 and receiver stand a few centimetres apart, one above the other, so that no
 direction in the horizontal plane is preferred.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from raytrace.paths import PathList
 from raytrace.radar_equation import radar_sweep
 from raytrace.scene import RadioScene, build_scene
 from raytrace.solver import solve
+from raytrace.targets import target_returns
 
 __all__ = ["EchoSweep", "sweep_echo"]
 
@@ -41,6 +43,8 @@ class EchoSweep:
         Diffuse returns in all sweeps.
     report : TraceReport or None
         How the specular returns compare with the image method (physical model).
+    targets : int
+        Returns of point targets in all sweeps.
     """
 
     epochs: tuple[int, ...]
@@ -48,12 +52,14 @@ class EchoSweep:
     specular: int
     diffuse: int
     report: TraceReport | None
+    targets: int = 0
 
     def as_dict(self) -> dict[str, int]:
         """The counts by name."""
         return {
             "specular": self.specular,
             "diffuse": self.diffuse,
+            **({"targets": self.targets} if self.targets else {}),
             **({} if self.report is None else self.report.as_dict()),
         }
 
@@ -85,17 +91,18 @@ def sweep_echo(
         responses = [
             radar_sweep(plan, radio, place, heading) for place, heading in zip(places, headings, strict=True)
         ]
-        return EchoSweep(epochs, np.stack(responses), 0, 0, None)
-    return _physical(plan, radio, epochs, places)
+        sweep = EchoSweep(epochs, np.stack(responses), 0, 0, None)
+    else:
+        sweep = _physical(plan, radio, epochs, places)
+    return _with_targets(plan, sweep, places) if plan.targets else sweep
 
 
 def _physical(
     plan: FloorPlan, radio: RadioScene, epochs: tuple[int, ...], places: NDArray[np.float64]
 ) -> EchoSweep:
-    half = np.array([0.0, 0.0, 0.5 * plan.echo.separation_m])
     responses, reports, specular, diffuse = [], [], 0, 0
     for place, heading in zip(places, plan.headings_rad()[list(epochs)], strict=True):
-        sender, receiver = place + half, place - half
+        sender, receiver = _ends(plan, place)
         paths, report = trace_specular(plan, radio, sender[None], receiver[None], plan.echo.depth)
         returns = paths.flat()
         returns = returns.select(returns.order > 0)
@@ -119,6 +126,21 @@ def _physical(
         *(sum(values) for values in zip(*(r.as_dict().values() for r in reports), strict=True))
     )
     return EchoSweep(epochs, np.stack(responses), specular, diffuse, total)
+
+
+def _ends(plan: FloorPlan, place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where transmitter and receiver are: one above the other."""
+    half = np.array([0.0, 0.0, 0.5 * plan.echo.separation_m])
+    return place + half, place - half
+
+
+def _with_targets(plan: FloorPlan, sweep: EchoSweep, places: NDArray[np.float64]) -> EchoSweep:
+    """The sweeps with what the point targets return."""
+    returns = [target_returns(plan, *_ends(plan, place)) for place in places]
+    headings = plan.headings_rad()[list(sweep.epochs)]
+    heard = [_beams(plan, paths, heading) for paths, heading in zip(returns, headings, strict=True)]
+    count = sum(len(paths) for paths in returns)
+    return replace(sweep, response=sweep.response + np.stack(heard), targets=count)
 
 
 def _beams(plan: FloorPlan, paths: PathList, heading: float) -> NDArray[np.complex128]:

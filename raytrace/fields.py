@@ -1,8 +1,8 @@
 """The gain of a specular path: free space, and a slab's reflection at each bounce.
 
-The field starts as that of an isotropic, vertically polarised antenna, is turned and
-weakened at every bounce by the coefficients of :func:`raytrace.materials.slab_reflection`
-in the plane of incidence, and is received by the same kind of antenna. Written from
+The field starts as that of an isotropic, vertically or horizontally polarised antenna, is
+turned and weakened at every bounce by the coefficients of :func:`raytrace.materials.slab_reflection`
+in the plane of incidence, and is received by the same kinds of antenna. Written from
 the textbook, independently of the ray tracer, to check it.
 """
 
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
+from raytrace.antennas import spherical_basis
 from raytrace.floorplan import FloorPlan
 from raytrace.materials import permittivity, slab_reflection
 
-__all__ = ["specular_amplitude"]
+__all__ = ["specular_amplitude", "specular_transfer"]
 
 Array = NDArray[np.float64]
 
@@ -43,34 +44,55 @@ def specular_amplitude(
     ndarray of complex128, shape (n,)
         ``lambda / (4 pi d)`` times the polarised reflections and ``exp(-j 2 pi f d / c)``.
     """
+    return _transfer(plan, vertices_m, surfaces, normals, carrier_hz, modes=1)[:, 0, 0]
+
+
+def specular_transfer(
+    plan: FloorPlan, vertices_m: Array, surfaces: NDArray[np.int64], normals: Array, carrier_hz: float
+) -> NDArray[np.complex128]:
+    """Gains between all polarisations, as ``PathList.transfer``, of specular paths of one order.
+
+    Parameters are those of :func:`specular_amplitude`.
+
+    Returns
+    -------
+    ndarray of complex128, shape (n, 2, 2)
+        Axes (path, received, sent), each (zenith, azimuth).
+    """
+    return _transfer(plan, vertices_m, surfaces, normals, carrier_hz, modes=2)
+
+
+def _transfer(
+    plan: FloorPlan,
+    vertices_m: Array,
+    surfaces: NDArray[np.int64],
+    normals: Array,
+    carrier_hz: float,
+    modes: int,
+) -> NDArray[np.complex128]:
+    """Gains of the first polarisations sent, (n, 2, modes)."""
     legs = np.diff(vertices_m, axis=1)
     lengths = np.linalg.norm(legs, axis=-1)
     directions = legs / lengths[..., None]
-    field = _vertical(directions[:, 0]).astype(np.complex128)
-    for bounce in range(surfaces.shape[1]):
-        field = _reflect(
-            plan,
-            field,
-            directions[:, bounce],
-            directions[:, bounce + 1],
-            surfaces[:, bounce],
-            normals,
-            carrier_hz,
-        )
-    received = np.sum(field * _vertical(directions[:, -1]), axis=-1)
+    sent, received = spherical_basis(directions[:, 0]), spherical_basis(-directions[:, -1])
+    columns = []
+    for mode in range(modes):
+        field = sent[:, mode].astype(np.complex128)
+        for bounce in range(surfaces.shape[1]):
+            field = _reflect(
+                plan,
+                field,
+                directions[:, bounce],
+                directions[:, bounce + 1],
+                surfaces[:, bounce],
+                normals,
+                carrier_hz,
+            )
+        columns.append(np.einsum("nrd,nd->nr", received, field))
     distance = lengths.sum(axis=1)
     wavelength = SPEED_OF_LIGHT_M_S / carrier_hz
-    return np.asarray(
-        wavelength / (4.0 * np.pi * distance) * np.exp(-2j * np.pi * distance / wavelength) * received
-    )
-
-
-def _vertical(directions: Array) -> Array:
-    """Unit vectors of vertical polarisation, normal to the directions (n, 3); x where these are vertical."""
-    up = np.array([0.0, 0.0, 1.0]) - directions[:, 2:] * directions
-    size = np.linalg.norm(up, axis=-1, keepdims=True)
-    upright = size < 1e-9
-    return np.asarray(np.where(upright, np.array([1.0, 0.0, 0.0]), up / np.where(upright, 1.0, size)))
+    free_space = wavelength / (4.0 * np.pi * distance) * np.exp(-2j * np.pi * distance / wavelength)
+    return np.asarray(free_space[:, None, None] * np.stack(columns, axis=-1))
 
 
 def _reflect(

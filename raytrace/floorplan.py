@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from estimator.errors import InputError
-from raytrace.devices import Agent, Anchor, Name, Point2
-from raytrace.links import Echo, Part, Positive, Radio
+from raytrace.devices import Agent, Anchor, Name, Point2, Target
+from raytrace.links import Echo, Part, Positive, Radio, added
 from raytrace.plan_checks import PlanFault, check_plan
 from raytrace.trajectory import smoothed_track, travel_azimuths
 
@@ -33,6 +33,7 @@ __all__ = [
     "FloorPlan",
     "FloorPlanError",
     "Slab",
+    "Target",
     "Tracing",
     "Wall",
     "load_floorplan",
@@ -91,6 +92,7 @@ class FloorPlan(Part):
     scattering: dict[str, Fraction] = Field(default_factory=dict)
     anchors: Annotated[tuple[Anchor, ...], Field(min_length=1, strict=False)]
     agent: Agent
+    targets: Annotated[tuple[Target, ...], Field(strict=False)] = added(())
     radio: Radio = Radio()
     echo: Echo = Echo()
     tracing: Tracing = Tracing()
@@ -133,6 +135,13 @@ class FloorPlan(Part):
     def anchors_m(self) -> NDArray[np.float64]:
         """Anchor positions, shape (anchors, 3), metres."""
         return np.array([anchor.position_m for anchor in self.anchors])
+
+    @property
+    def polarised(self) -> bool:
+        """Whether any antenna of the passive link is other than isotropic, vertical and upright."""
+        ends = self.radio.anchor_array, self.radio.agent_array
+        plain = all(end.pattern == "iso" and end.polarization == "V" for end in ends)
+        return not plain or any(anchor.downtilt_deg for anchor in self.anchors)
 
     def track(self) -> NDArray[np.float64]:
         """The agent's positions, shape (epochs, 3), metres; row 0 is the reference point."""

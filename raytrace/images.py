@@ -21,9 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.fields import specular_amplitude
 from raytrace.floorplan import FloorPlan
-from raytrace.paths import NO_SURFACE, PathList, PathSet, angles_of
+from raytrace.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathList, PathSet, angles_of
 
-__all__ = ["Surfaces", "image_paths", "surfaces_of"]
+__all__ = ["Surfaces", "blocked", "image_paths", "surfaces_of"]
 
 Array = NDArray[np.float64]
 
@@ -151,7 +151,7 @@ def _paths_of_order(
     parts = []
     for first in range(0, len(positions), block):
         epoch, row, vertices = _unfold(surfaces, positions[first : first + block], anchor, sequences, rim_m)
-        clear = ~np.any(_blocked(surfaces, vertices[:, :-1], vertices[:, 1:], rim_m), axis=1)
+        clear = ~np.any(blocked(surfaces, vertices[:, :-1], vertices[:, 1:], rim_m), axis=1)
         clear &= np.all(np.linalg.norm(np.diff(vertices, axis=1), axis=-1) >= leg_m, axis=1)
         parts.append((epoch[clear] + first, sequences[row[clear]], vertices[clear]))
     epoch, hit, vertices = (np.concatenate(columns) for columns in zip(*parts, strict=True))
@@ -172,6 +172,8 @@ def _paths_of_order(
         arrival_elevation_rad=arrival[1],
         order=np.full(len(epoch), order, dtype=np.int16),
         walls=walls,
+        interactions=np.where(walls == NO_SURFACE, NO_INTERACTION, SPECULAR).astype(np.int8),
+        transfer=np.zeros((len(epoch), 0, 0), dtype=np.complex128),
     )
 
 
@@ -228,7 +230,7 @@ def _on_rectangle(
     return np.asarray(within.all(axis=-1))
 
 
-def _blocked(surfaces: Surfaces, start: Array, end: Array, rim_m: float) -> NDArray[np.bool_]:
+def blocked(surfaces: Surfaces, start: Array, end: Array, rim_m: float = _RIM_M) -> NDArray[np.bool_]:
     """Whether legs (paths, legs, 3) meet any surface, grown by a rim, between their ends; (paths, legs)."""
     start, towards = start[..., None, :], (end - start)[..., None, :]
     slope = np.sum(towards * surfaces.normal, axis=-1)

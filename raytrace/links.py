@@ -7,11 +7,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from estimator.arrays import BeamSet, UniformLinearArray
+from estimator.arrays import BeamSet, UniformLinearArray, UniformPlanarArray
 from estimator.waveform import OfdmGrid
 
 __all__ = [
     "AgentArray",
+    "AnchorArray",
     "Beams",
     "Count",
     "Echo",
@@ -40,18 +41,48 @@ def added(default: Any) -> Any:
     return Field(default=default, exclude_if=lambda value: value == default)
 
 
-class AgentArray(Part):
-    """The agent's receiving array (horizontal, isotropic elements), relative to its heading."""
+class AnchorArray(Part):
+    """The array of every anchor: ``rows`` one above the other of ``elements`` side by side.
+
+    ``pattern`` and ``polarization`` of the elements are named as in Sionna RT; see
+    :mod:`raytrace.antennas`. Every element sends pilots of its own, each with the link's EIRP,
+    to which the pattern's gain comes on top.
+    """
 
     elements: Count = 1
     spacing_wavelengths: Positive = 0.5
+    rows: Count = added(1)
+    row_spacing_wavelengths: Positive = added(0.5)
+    pattern: Literal["iso", "dipole", "hw_dipole", "tr38901"] = added("iso")
+    polarization: Literal["V", "H"] = added("V")
+
+    @property
+    def antennas(self) -> int:
+        """Number of elements in all rows."""
+        return self.rows * self.elements
+
+    def facing(self, boresight_rad: float) -> UniformLinearArray | UniformPlanarArray:
+        """The array with its broadside towards an azimuth of its frame, radians."""
+        if self.rows == 1:
+            return UniformLinearArray(self.elements, self.spacing_wavelengths, boresight_rad)
+        return UniformPlanarArray(
+            self.rows, self.elements, self.row_spacing_wavelengths, self.spacing_wavelengths, boresight_rad
+        )
+
+
+class AgentArray(AnchorArray):
+    """The agent's receiving array, upright, relative to its heading; fields as those of anchors."""
+
     boresight_deg: Finite = 0.0
 
-    def array(self) -> UniformLinearArray:
+    @property
+    def boresight_rad(self) -> float:
+        """Azimuth of its broadside in the agent's frame, radians."""
+        return float(np.deg2rad(self.boresight_deg))
+
+    def array(self) -> UniformLinearArray | UniformPlanarArray:
         """The array in the agent's frame."""
-        return UniformLinearArray(
-            self.elements, self.spacing_wavelengths, float(np.deg2rad(self.boresight_deg))
-        )
+        return self.facing(self.boresight_rad)
 
 
 class _Signal(Part):
@@ -86,6 +117,7 @@ class Radio(_Signal):
     eirp_dbm: Finite = 26.0
     timing_jitter_s: NonNegative = 0.0
     agent_array: AgentArray = AgentArray()
+    anchor_array: AnchorArray = added(AnchorArray())
     snapshots: Count = added(1)
     snapshot_interval_s: Positive = added(1e-3)
 

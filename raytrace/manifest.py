@@ -35,7 +35,7 @@ def head(plan: FloorPlan, seed: int, output: Output, llvm: str) -> dict[str, Any
     llvm : str
         Version of the LLVM library that compiles the ray tracer's kernels.
     """
-    agent_array, beams = plan.radio.agent_array.array(), plan.echo.beams.beam_set()
+    agent_array, beams = plan.radio.agent_array, plan.echo.beams.beam_set()
     return {
         "name": plan.name,
         "seed": seed,
@@ -47,11 +47,12 @@ def head(plan: FloorPlan, seed: int, output: Output, llvm: str) -> dict[str, Any
         "radio": {
             **_signal(plan.radio),
             "eirp_dbm": plan.radio.eirp_dbm,
-            **plan.radio.model_dump(include={"snapshots", "snapshot_interval_s"}),
+            **plan.radio.model_dump(include={"snapshots", "snapshot_interval_s", "anchor_array"}),
             "agent_array": {
                 "elements": agent_array.elements,
                 "spacing_wavelengths": agent_array.spacing_wavelengths,
                 "boresight_rad": agent_array.boresight_rad,
+                **agent_array.model_dump(exclude={"elements", "spacing_wavelengths", "boresight_deg"}),
             },
         },
         "echo": {

@@ -53,7 +53,13 @@ class Output:
         if self.shard_epochs:
             return self
         radio = plan.radio
-        channel = 16 * radio.snapshots * radio.agent_array.elements * radio.grid().tones
+        channel = (
+            16
+            * radio.snapshots
+            * radio.anchor_array.antennas
+            * radio.agent_array.antennas
+            * radio.grid().tones
+        )
         fitting = _MOST_BYTES // (channel * len(plan.anchors))
         return replace(self, shard_epochs=max(1, min(_MOST_EPOCHS, fitting)))
 

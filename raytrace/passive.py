@@ -89,11 +89,19 @@ def trace_passive(plan: FloorPlan, radio: RadioScene | None = None) -> tuple[Pat
         If the ray tracer cannot run on this machine.
     """
     radio = build_scene(plan, plan.radio.carrier_hz) if radio is None else radio
-    return trace_specular(plan, radio, plan.anchors_m(), plan.track(), plan.tracing.depth)
+    return trace_specular(
+        plan, radio, plan.anchors_m(), plan.track(), plan.tracing.depth, polarised=plan.polarised
+    )
 
 
 def trace_specular(
-    plan: FloorPlan, radio: RadioScene, sources_m: Array, positions_m: Array, depth: int
+    plan: FloorPlan,
+    radio: RadioScene,
+    sources_m: Array,
+    positions_m: Array,
+    depth: int,
+    *,
+    polarised: bool = False,
 ) -> tuple[PathSet, TraceReport]:
     """Trace the specular paths from sources (k, 3) to positions (n, 3), metres; as :func:`trace_passive`."""
     exact = image_paths(plan, positions_m, depth, sources_m, rim_m=RIM_M, leg_m=LEG_M).flat()
@@ -105,14 +113,14 @@ def trace_specular(
     parts, retraced = [], 0
     for index, source in enumerate(sources_m):
         mine = exact.select(exact.anchor == index)
-        part = _trace(radio, source, index, positions_m, everywhere, depth, plan.tracing.samples)
+        part = _trace(radio, source, index, positions_m, everywhere, depth, plan.tracing.samples, polarised)
         for attempt, more in enumerate(_RETRIES):
             missing = np.unique(mine.epoch[~np.isin(keys(mine), keys(part))])
             if not missing.size:
                 break
             retraced += missing.size
             epochs, samples = np.roll(missing, attempt), more * plan.tracing.samples
-            again = _trace(radio, source, index, positions_m, epochs, depth, samples)
+            again = _trace(radio, source, index, positions_m, epochs, depth, samples, polarised)
             part = _distinct(PathList.concatenate([part, again]))
         parts.append(part)
 
@@ -141,12 +149,13 @@ def _trace(
     epochs: NDArray[np.int64],
     depth: int,
     samples: int,
+    polarised: bool,
 ) -> PathList:
     """Paths of one source to some epochs, in full batches: the last is filled by repeating epochs."""
     filled = np.resize(epochs, -(-len(epochs) // _BATCH) * _BATCH)
     parts = []
     for batch in filled.reshape(-1, _BATCH):
-        traced = solve(radio, source, positions[batch], depth=depth, samples=samples)
+        traced = solve(radio, source, positions[batch], depth=depth, samples=samples, polarised=polarised)
         parts.append(replace(traced, epoch=batch[traced.epoch], anchor=np.full(len(traced), index)))
     return _distinct(PathList.concatenate(parts))
 

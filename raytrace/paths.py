@@ -13,9 +13,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NO_SURFACE", "PathList", "PathSet", "angles_of", "directions_of"]
+__all__ = [
+    "DIFFRACTION",
+    "DIFFUSE",
+    "NO_INTERACTION",
+    "NO_SURFACE",
+    "REFRACTION",
+    "SPECULAR",
+    "PathList",
+    "PathSet",
+    "angles_of",
+    "directions_of",
+]
 
 NO_SURFACE = -1
+# What a path does at a surface; numbers as those of Sionna RT.
+NO_INTERACTION, SPECULAR, DIFFUSE, REFRACTION, DIFFRACTION = 0, 1, 2, 4, 8
 
 
 def angles_of(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -53,10 +66,17 @@ class PathList:
     arrival_azimuth_rad, arrival_elevation_rad : ndarray of float64, shape (n,)
         Direction from which it reaches the agent, plan frame, radians.
     order : ndarray of int16, shape (n,)
-        Number of bounces.
+        Number of bounces, and of other interactions with surfaces.
     walls : ndarray of int16, shape (n, bounces)
         Surface of every bounce from the anchor to the agent, an index of
         ``FloorPlan.surface_names``; ``NO_SURFACE`` beyond ``order``.
+    interactions : ndarray of int8, shape (n, bounces)
+        What happens there: ``SPECULAR``, ``DIFFUSE``, ``REFRACTION`` or ``DIFFRACTION``;
+        ``NO_INTERACTION`` beyond ``order``.
+    transfer : ndarray of complex128, shape (n, 2, 2), or (n, 0, 0) if it was not traced
+        Gain from each polarisation sent to each received, last axes (received, sent), each
+        (zenith, azimuth): the unit vectors of spherical coordinates in the plan frame, in
+        the direction of departure and in that of arrival. ``amplitude`` is its first entry.
     """
 
     epoch: NDArray[np.int64]
@@ -69,6 +89,8 @@ class PathList:
     arrival_elevation_rad: NDArray[np.float64]
     order: NDArray[np.int16]
     walls: NDArray[np.int16]
+    interactions: NDArray[np.int8]
+    transfer: NDArray[np.complex128]
 
     def __len__(self) -> int:
         return int(self.delay_s.size)
@@ -83,15 +105,21 @@ class PathList:
         columns = {
             field.name: np.concatenate([getattr(part, field.name) for part in parts])
             for field in fields(PathList)
-            if field.name != "walls"
+            if field.name not in ("walls", "interactions")
         }
         bounces = max(part.walls.shape[1] for part in parts)
-        walls = np.full((len(columns["epoch"]), bounces), NO_SURFACE, dtype=np.int16)
-        row = 0
-        for part in parts:
-            walls[row : row + len(part), : part.walls.shape[1]] = part.walls
-            row += len(part)
-        return PathList(**columns, walls=walls)
+
+        def widened(values: NDArray[Any], empty: int) -> NDArray[Any]:
+            return np.pad(values, ((0, 0), (0, bounces - values.shape[1])), constant_values=empty)
+
+        walls = np.concatenate([widened(part.walls, NO_SURFACE) for part in parts])
+        interactions = np.concatenate([widened(part.interactions, NO_INTERACTION) for part in parts])
+        return PathList(**columns, walls=walls, interactions=interactions)
+
+    @property
+    def is_specular(self) -> NDArray[np.bool_]:
+        """Which paths are lines of sight or bounce specularly alone, shape (n,)."""
+        return np.asarray(np.isin(self.interactions, (NO_INTERACTION, SPECULAR)).all(axis=1))
 
     def keys(self, anchors: int, surfaces: int) -> NDArray[np.int64]:
         """A number for what identifies a specular path: epoch, anchor and walls; shape (n,).
@@ -117,7 +145,7 @@ class PathSet:
     Within a channel the order is that of :meth:`PathList.canonical`; slots that hold
     no path come last, have ``valid`` false, NaN in the real columns, zero amplitude
     and ``NO_SURFACE`` walls. Fields are those of :class:`PathList`, with the first
-    three axes (epoch, anchor, path); ``walls`` has a fourth, bounce.
+    three axes (epoch, anchor, path); ``walls`` and ``interactions`` have a fourth, bounce.
     """
 
     valid: NDArray[np.bool_]
@@ -129,6 +157,8 @@ class PathSet:
     arrival_elevation_rad: NDArray[np.float64]
     order: NDArray[np.int16]
     walls: NDArray[np.int16]
+    interactions: NDArray[np.int8]
+    transfer: NDArray[np.complex128]
 
     @staticmethod
     def build(paths: PathList, epochs: int, anchors: int) -> PathSet:
@@ -144,7 +174,13 @@ class PathSet:
             grid[channel, slot] = values
             return grid.reshape(epochs, anchors, *grid.shape[1:])
 
-        empty = {"amplitude": 0.0, "order": 0, "walls": NO_SURFACE}
+        empty = {
+            "amplitude": 0.0,
+            "order": 0,
+            "walls": NO_SURFACE,
+            "interactions": NO_INTERACTION,
+            "transfer": 0.0,
+        }
         columns = {
             field.name: spread(getattr(paths, field.name), empty.get(field.name, np.nan))
             for field in fields(PathSet)

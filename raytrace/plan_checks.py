@@ -41,12 +41,14 @@ def check_plan(plan: FloorPlan) -> None:
     room = _room(plan)
     _check_anchors(plan, room)
     _check_agent(plan, room)
+    _check_targets(plan, room)
 
 
 def _check_names(plan: FloorPlan) -> None:
     for field, names in (
         ("walls", [wall.name for wall in plan.walls]),
         ("anchors", [anchor.name for anchor in plan.anchors]),
+        ("targets", [target.name for target in plan.targets]),
     ):
         twice = _first_repeated(names)
         if twice is not None:
@@ -165,3 +167,22 @@ def _check_agent(plan: FloorPlan, room: shapely.Geometry) -> None:
                 f"anchors[{index}] ({anchor.name}).position_m: expected at least 0.1 m to the agent's track, "
                 f"got {gap:.3g} m"
             )
+
+
+def _check_targets(plan: FloorPlan, room: shapely.Geometry) -> None:
+    """Targets are inside the room and off the agent's track: the radar equation has no near field."""
+    track = plan.track()
+    for index, target in enumerate(plan.targets):
+        field = f"targets[{index}] ({target.name}).position_m"
+        x, y, z = target.position_m
+        if not 0.0 < z < plan.ceiling_height_m:
+            raise PlanFault(
+                f"{field}: expected a height between 0 and {plan.ceiling_height_m:g} m, got {z:g} m"
+            )
+        if not shapely.contains(room, shapely.Point(x, y)):
+            raise PlanFault(
+                f"{field}: expected a place inside the room (enclosed by walls), got ({x:g}, {y:g})"
+            )
+        gap = float(np.linalg.norm(track - np.array(target.position_m), axis=1).min())
+        if gap < 0.1:
+            raise PlanFault(f"{field}: expected at least 0.1 m to the agent's track, got {gap:.3g} m")

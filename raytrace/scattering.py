@@ -60,6 +60,7 @@ def diffuse_response(
                 samples=rays,
                 los=False,
                 diffuse=True,
+                polarised=plan.polarised,
                 most_paths=_BATCH * rays,
             )
             for anchor in anchors

@@ -161,7 +161,9 @@ def make_shard(task: ShardTask, folder: Path, stages: Stages | None = None) -> M
             radio = build_scene(plan, plan.radio.carrier_hz)
         with stages("passive"):
             positions = plan.track()[task.first : task.stop]
-            paths, report = trace_specular(plan, radio, plan.anchors_m(), positions, plan.tracing.depth)
+            paths, report = trace_specular(
+                plan, radio, plan.anchors_m(), positions, plan.tracing.depth, polarised=plan.polarised
+            )
         with stages("channels"):
             response = receive(plan, paths, task.epochs)
             diffuse_paths = 0

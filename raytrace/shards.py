@@ -18,7 +18,7 @@ from estimator.errors import FileFormatError
 from estimator.geometry import vrp_of_line
 from estimator.waveform import impulse_response
 from raytrace.floorplan import FloorPlan, parse_floorplan
-from raytrace.paths import PathSet
+from raytrace.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathSet
 from raytrace.reception import doppler_hz
 
 __all__ = ["echo_shard", "passive_shard", "paths_shard", "stored_paths", "stored_plan", "truth_shard"]
@@ -40,13 +40,20 @@ _ARRAY_FRAME = "the agent's at the sweep: that at the start, turned by sweep_hea
 def passive_shard(
     plan: FloorPlan, cfr: NDArray[np.complex128], epochs: NDArray[np.int64], content: str = "cfr"
 ) -> xr.Dataset:
-    """Noisy channels of some epochs, shape (epochs, anchors, snapshots, antennas, tones).
+    """Noisy channels of some epochs, shape (epochs, anchors, snapshots, anchor antennas, antennas, tones).
 
-    The axis of snapshots is written if the plan asks for more than one. ``content`` is
-    ``cfr``, ``cir`` (the same as impulse responses) or ``both``.
+    The axis of snapshots is written if the plan asks for more than one, that of the anchors'
+    antennas if they have several. ``content`` is ``cfr``, ``cir`` (the same as impulse
+    responses) or ``both``.
     """
     grid = plan.radio.grid()
-    asked = {"epoch": True, "anchor": True, "snapshot": plan.radio.snapshots > 1, "antenna": True}
+    asked = {
+        "epoch": True,
+        "anchor": True,
+        "snapshot": plan.radio.snapshots > 1,
+        "anchor_antenna": plan.radio.anchor_array.antennas > 1,
+        "antenna": True,
+    }
     links = tuple(axis for axis, wanted in asked.items() if wanted)
     cfr = cfr.squeeze(tuple(place for place, wanted in enumerate(asked.values()) if not wanted))
     times = plan.times_s()[epochs]
@@ -206,7 +213,14 @@ def stored_paths(shard: xr.Dataset, heading_rad: float) -> PathSet:
     except KeyError as error:
         raise FileFormatError(f"paths: expected the variable {error} in the shard, it is missing") from error
     columns["arrival_azimuth_rad"] = columns["arrival_azimuth_rad"] + heading_rad
-    return PathSet(valid=valid, amplitude=amplitude, **columns)
+    specular = np.where(columns["walls"] == NO_SURFACE, NO_INTERACTION, SPECULAR).astype(np.int8)
+    return PathSet(
+        valid=valid,
+        amplitude=amplitude,
+        interactions=shard["interactions"].values if "interactions" in shard else specular,
+        transfer=np.zeros((*valid.shape, 0, 0), dtype=np.complex128),
+        **columns,
+    )
 
 
 def _complex_pair(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
-from raytrace.paths import NO_SURFACE, PathList
+from raytrace.paths import NO_INTERACTION, NO_SURFACE, PathList
 from raytrace.scene import RadioScene
 
 __all__ = ["solve"]
@@ -34,6 +34,7 @@ def solve(
     samples: int,
     los: bool = True,
     diffuse: bool = False,
+    polarised: bool = False,
     most_paths: int = _MOST_PATHS,
 ) -> PathList:
     """Trace paths from one source to every target.
@@ -53,6 +54,8 @@ def solve(
         Whether to include the line of sight.
     diffuse : bool
         Trace diffuse reflections alone (all rays go into them) in place of specular ones.
+    polarised : bool
+        Compute ``PathList.transfer``, the gains between all polarisations.
     most_paths : int
         Most paths to all targets together; further ones are lost.
 
@@ -61,7 +64,9 @@ def solve(
     PathList
         In no particular order.
     """
-    paths = _sionna_paths(radio, source_m, targets_m, depth, samples, los, diffuse, most_paths)
+    paths = _sionna_paths(
+        radio, source_m, targets_m, depth, samples, los, diffuse, most_paths, "VH" if polarised else "V"
+    )
     return _path_list(radio, paths, depth)
 
 
@@ -74,6 +79,7 @@ def _sionna_paths(
     los: bool,
     diffuse: bool,
     most_paths: int,
+    polarization: str = "V",
 ) -> Any:
     import sionna.rt as rt
 
@@ -81,8 +87,8 @@ def _sionna_paths(
     for device in (*scene.transmitters, *scene.receivers):
         scene.remove(device)
     wavelength = SPEED_OF_LIGHT_M_S / float(scene.frequency[0])
-    scene.tx_array = _array(source_m[None] / wavelength)
-    scene.rx_array = _array(targets_m / wavelength)
+    scene.tx_array = _array(source_m[None] / wavelength, polarization)
+    scene.rx_array = _array(targets_m / wavelength, polarization)
     scene.add([rt.Transmitter("source", [0.0, 0.0, 0.0]), rt.Receiver("targets", [0.0, 0.0, 0.0])])
     return rt.PathSolver()(
         scene,
@@ -98,42 +104,62 @@ def _sionna_paths(
     )
 
 
-def _array(positions: NDArray[np.float64]) -> Any:
-    """Vertically polarised isotropic elements at positions (n, 3) in wavelengths."""
+def _array(positions: NDArray[np.float64], polarization: str) -> Any:
+    """Isotropic elements at positions (n, 3) in wavelengths, in each of some polarisations."""
     import mitsuba as mi
     import sionna.rt as rt
     from sionna.rt.antenna_pattern import antenna_pattern_registry
 
-    pattern = antenna_pattern_registry.get("iso")(polarization="V")
+    pattern = antenna_pattern_registry.get("iso")(polarization=polarization)
     columns = np.ascontiguousarray(positions.T, dtype=np.float32)
     return rt.AntennaArray(pattern, mi.Point3f(*(mi.Float(column) for column in columns)))
 
 
 def _path_list(radio: RadioScene, paths: Any, depth: int) -> PathList:
-    """Sionna's tensors, axes (rx, target, tx, source, path), as one row per path."""
-    valid = paths.valid.numpy()[0, :, 0, 0]  # (target, path)
+    """Sionna's tensors as one row per path.
+
+    Their axes are (rx, polarisation x target, tx, polarisation of the one source, path).
+    """
+    modes = int(paths.valid.shape[3])
+
+    def by_mode(tensor: Any) -> NDArray[Any]:  # (received, target, sent, path)
+        whole = tensor.numpy()[0, :, 0]
+        return np.asarray(whole.reshape(modes, -1, *whole.shape[1:]))
+
+    valid = by_mode(paths.valid)[0, :, 0]  # (target, path)
     target, _ = np.nonzero(valid)
 
     def pick(tensor: Any) -> NDArray[np.float64]:
-        return np.asarray(tensor.numpy()[0, :, 0, 0][valid], dtype=np.float64)
+        return np.asarray(by_mode(tensor)[0, :, 0][valid], dtype=np.float64)
 
     delay = pick(paths.tau)
-    gain = pick(paths.a[0]) + 1j * pick(paths.a[1])
     carrier_hz = float(radio.scene.frequency[0])
+    real, imaginary = (
+        np.moveaxis(by_mode(part), (0, 2), (-2, -1))[valid].astype(np.float64) for part in paths.a
+    )
+    turn = np.exp(-2j * np.pi * carrier_hz * delay)
+    transfer = (real + 1j * imaginary) * turn[:, None, None]  # (path, received, sent)
     if depth == 0 or not len(delay):
         walls = np.full((len(delay), max(depth, 1)), NO_SURFACE, dtype=np.int16)
+        interactions = np.full(walls.shape, NO_INTERACTION, dtype=np.int8)
     else:
-        bounces = [tensor.numpy()[:, 0, :, 0, 0][:, valid].T for tensor in (paths.objects, paths.primitives)]
-        walls = radio.surfaces(*bounces)
+        targets = valid.shape[0]
+        objects, primitives, kinds = (
+            tensor.numpy()[:, 0, :targets, 0, 0][:, valid].T
+            for tensor in (paths.objects, paths.primitives, paths.interactions)
+        )
+        walls, interactions = radio.surfaces(objects, primitives), kinds.astype(np.int8)
     return PathList(
         epoch=target.astype(np.int64),
         anchor=np.zeros(len(target), dtype=np.int64),
         delay_s=delay,
-        amplitude=gain * np.exp(-2j * np.pi * carrier_hz * delay),
+        amplitude=transfer[:, 0, 0],
         departure_azimuth_rad=pick(paths.phi_t),
         departure_elevation_rad=0.5 * np.pi - pick(paths.theta_t),
         arrival_azimuth_rad=pick(paths.phi_r),
         arrival_elevation_rad=0.5 * np.pi - pick(paths.theta_r),
         order=np.sum(walls != NO_SURFACE, axis=1, dtype=np.int16),
         walls=walls,
+        interactions=interactions,
+        transfer=transfer if modes > 1 else transfer[:, :0, :0],
     )

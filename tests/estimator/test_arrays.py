@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.arrays import BeamSet, UniformLinearArray, element_gain
+from estimator.arrays import BeamSet, UniformLinearArray, UniformPlanarArray, element_gain
 from estimator.errors import ConfigurationError
 
 
@@ -107,3 +107,26 @@ def test_bad_arrays_are_refused(make: type[object], message: str) -> None:
     """The field, what was expected and what came are named."""
     with pytest.raises(ConfigurationError, match=message):
         make()
+
+
+def test_planar_array_is_rows_of_linear_ones() -> None:
+    """Element ``r C + c`` has the phase of its place: across by its column, up by its row."""
+    rng = np.random.default_rng(5)
+    azimuth, elevation = rng.uniform(-3, 3, 20), rng.uniform(-1.5, 1.5, 20)
+    array = UniformPlanarArray(3, 4, 0.7, 0.5, 0.3)
+    assert array.elements == 12
+    steering = array.steering(azimuth, elevation)
+    for row in range(3):
+        for column in range(4):
+            across = 0.5 * (column - 1.5) * np.cos(elevation) * np.sin(azimuth - 0.3)
+            phase = 2 * np.pi * (across + 0.7 * (row - 1.0) * np.sin(elevation))
+            np.testing.assert_allclose(steering[:, 4 * row + column], np.exp(1j * phase), atol=1e-12)
+    flat = UniformPlanarArray(1, 4, 0.5, 0.5, 0.3).steering(azimuth, elevation)
+    np.testing.assert_allclose(flat, UniformLinearArray(4, 0.5, 0.3).steering(azimuth, elevation), atol=1e-15)
+
+
+@pytest.mark.parametrize("wrong", [{"rows": 0}, {"columns": 0}, {"row_spacing_wavelengths": 0.0}])
+def test_impossible_planar_arrays(wrong: dict[str, float]) -> None:
+    """Numbers that make no array are refused with what was expected."""
+    with pytest.raises(ConfigurationError, match="expected"):
+        UniformPlanarArray(**wrong)  # type: ignore[arg-type]

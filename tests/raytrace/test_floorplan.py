@@ -99,6 +99,11 @@ def test_updated_validates(room: FloorPlan) -> None:
             room.updated(changes)
 
 
+def chair(**changes: Any) -> dict[str, Any]:
+    target = {"name": "chair", "position_m": [8.0, 8.0, 1.0], "rcs_m2": 1.0, **changes}
+    return {key: value for key, value in target.items() if value is not None}
+
+
 BAD_VALUES = [
     ({"format": "dxf"}, "format: expected 'hapslam-floorplan', got 'dxf'"),
     ({"version": 2}, "version: expected 1, got 2"),
@@ -157,6 +162,29 @@ BAD_VALUES = [
         {"radio": {"snapshot_interval_s": 0.0}},
         r"radio\.snapshot_interval_s: expected greater than 0, got 0\.0",
     ),
+    ({"targets": [chair(rcs_dbsm=3.0)]}, r"targets\[0\]: expected either rcs_m2 or rcs_dbsm, got both"),
+    ({"targets": [chair(rcs_m2=None)]}, r"targets\[0\]: expected either rcs_m2 or rcs_dbsm, got neither"),
+    ({"targets": [chair(rcs_m2=-1.0)]}, r"targets\[0\]\.rcs_m2: expected greater than 0, got -1\.0"),
+    ({"targets": [chair(), chair()]}, "targets: expected names that differ, got 'chair' twice"),
+    (
+        {"targets": [chair(position_m=[18.0, 8.0, 1.0])]},
+        r"targets\[0\] \(chair\).* inside the room .* \(18, 8\)",
+    ),
+    ({"targets": [chair(position_m=[8.0, 8.0, 3.5])]}, "expected a height between 0 and 3 m, got 3.5 m"),
+    (
+        {"targets": [chair(position_m=[2.0, 3.0, 1.5])]},
+        r"targets.* at least 0\.1 m to the agent's track, got 0 m",
+    ),
+    (
+        {"radio": {"anchor_array": {"pattern": "yagi"}}},
+        r"anchor_array\.pattern: expected 'iso', .* got 'yagi'",
+    ),
+    ({"radio": {"agent_array": {"polarization": "X"}}}, r"polarization: expected 'V' or 'H', got 'X'"),
+    (
+        {"radio": {"agent_array": {"rows": 0}}},
+        r"agent_array\.rows: expected greater than or equal to 1, got 0",
+    ),
+    ({"anchors.0.downtilt_deg": 100.0}, r"anchors\[0\]\.downtilt_deg: expected less than or equal to 90"),
     ({"tracing": {"depth": 9}}, r"tracing\.depth: expected less than or equal to 3, got 9"),
 ]
 

@@ -226,7 +226,9 @@ def test_a_failure_leaves_no_dataset(
     plan: FloorPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If tracing fails nothing has been written; if writing fails the dataset is marked incomplete."""
-    monkeypatch.setattr("raytrace.shard_task.trace_specular", lambda *_: (_ for _ in ()).throw(MemoryError()))
+    monkeypatch.setattr(
+        "raytrace.shard_task.trace_specular", lambda *_, **__: (_ for _ in ()).throw(MemoryError())
+    )
     with pytest.raises(MemoryError):
         generate(plan, tmp_path / "early", seed=1)
     assert not (tmp_path / "early").exists()
@@ -270,3 +272,23 @@ def test_snapshots_clocks_and_turning_in_files(plan: FloorPlan, tmp_path: Path) 
     weights = np.where(valid, amplitude * antenna[..., 0], 0.0)
     exact = np.einsum("ekp,ekpt->ekt", weights, np.where(valid[..., None], tones, 0.0))
     np.testing.assert_allclose(cfr, exact, atol=1e-5 * np.abs(exact).max())
+
+
+def test_arrays_at_both_ends_in_files(plan: FloorPlan, tmp_path: Path) -> None:
+    """Anchors with an array of two rows add an axis; the first antennas are what the manifest says."""
+    changes = {
+        "radio.anchor_array": {"elements": 3, "rows": 2, "pattern": "tr38901"},
+        "radio.agent_array": {"elements": 2, "rows": 2, "polarization": "H"},
+        "agent.epochs": 2,
+    }
+    dataset = generate(plan.updated(changes), tmp_path / "arrays", seed=1).dataset
+    passive = next(dataset.shards("passive"))
+    assert dict(passive["cfr_re"].sizes) == {
+        "epoch": 2, "anchor": 2, "anchor_antenna": 6, "antenna": 4, "tone": 819
+    }  # fmt: skip
+    assert dataset.manifest["radio"]["anchor_array"] == {"elements": 3, "spacing_wavelengths": 0.5} | {
+        "rows": 2,
+        "pattern": "tr38901",
+    }
+    assert dataset.manifest["radio"]["agent_array"]["polarization"] == "H"
+    assert dataset.manifest["statistics"]["passive"]["missing"] == 0

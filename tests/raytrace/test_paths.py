@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from raytrace.paths import NO_SURFACE, PathList, PathSet, angles_of
+from raytrace.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathList, PathSet, angles_of
 
 
 def random_paths(rng: np.random.Generator, count: int, bounces: int = 2) -> PathList:
@@ -24,6 +24,8 @@ def random_paths(rng: np.random.Generator, count: int, bounces: int = 2) -> Path
         arrival_elevation_rad=rng.uniform(-1, 1, count),
         order=order,
         walls=walls,
+        interactions=np.where(walls == NO_SURFACE, NO_INTERACTION, SPECULAR).astype(np.int8),
+        transfer=np.zeros((count, 0, 0), dtype=np.complex128),
     )
 
 

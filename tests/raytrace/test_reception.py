@@ -30,7 +30,7 @@ def test_array_phases_follow_the_arrival_angle(plan: FloorPlan, heading_deg: flo
     turned = plan.updated({"radio.agent_array.elements": 4, "agent.heading_deg": heading_deg})
     one, anchor = lone(image_paths(turned))
     azimuth, elevation = one.arrival_azimuth_rad[0, anchor, 0], one.arrival_elevation_rad[0, anchor, 0]
-    response = receive(turned, one, np.array([0]))[0, anchor, 0]
+    response = receive(turned, one, np.array([0]))[0, anchor, 0, 0]
     ratio = response[1:] / response[:-1]
     expected = np.exp(1j * np.pi * np.cos(elevation) * np.sin(azimuth - np.deg2rad(heading_deg)))
     np.testing.assert_allclose(ratio, np.full_like(ratio, expected), rtol=1e-9)
@@ -61,7 +61,7 @@ def test_a_turning_array_sees_sources_turn_back(plan: FloorPlan) -> None:
     seen = paths.valid[:, 0, 0]
     relative = paths.arrival_azimuth_rad[seen, 0, 0] - turning.headings_rad()[seen]
     expected = np.exp(1j * np.pi * np.cos(paths.arrival_elevation_rad[seen, 0, 0]) * np.sin(relative))
-    ratio = response[seen, 0, 0, 1, 0] / response[seen, 0, 0, 0, 0]
+    ratio = response[seen, 0, 0, 0, 1, 0] / response[seen, 0, 0, 0, 0, 0]
     np.testing.assert_allclose(ratio, expected, rtol=1e-9)
 
 
@@ -98,13 +98,13 @@ def test_snapshots_rotate_by_the_doppler_shift(plan: FloorPlan) -> None:
         {"radio.snapshots": 3, "radio.snapshot_interval_s": 2e-4, "radio.agent_array.elements": 2}
     )
     one, anchor = lone(image_paths(several))
-    response = receive(several, one, np.array([0]))[0, anchor]
+    response = receive(several, one, np.array([0]))[0, anchor, :, 0]
     assert response.shape == (3, 2, 819)
     shift = doppler_hz(several, one, np.array([0]))[0, anchor, 0]
     turn = np.exp(2j * np.pi * shift * 2e-4)
     np.testing.assert_allclose(response[1:] / response[:-1], np.full((2, 2, 819), turn), rtol=1e-9)
     still = several.updated({"radio.snapshots": 1})
-    np.testing.assert_array_equal(receive(still, one, np.array([0]))[0, anchor, 0], response[0])
+    np.testing.assert_array_equal(receive(still, one, np.array([0]))[0, anchor, 0, 0], response[0])
 
 
 def test_clocks_shift_whole_channels(plan: FloorPlan) -> None:

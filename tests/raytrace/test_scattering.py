@@ -91,12 +91,12 @@ def test_response_is_the_sum_of_the_paths() -> None:
     plan = one_rough_wall().updated({"tracing.diffuse_samples": 500})
     radio = build_scene(plan, plan.radio.carrier_hz)
     response, count = diffuse_response(plan, radio, np.arange(plan.agent.epochs))
-    assert response.shape == (3, 1, 1, 1, 819)
+    assert response.shape == (3, 1, 1, 1, 1, 819)
     total = 0
     for epoch, place in enumerate(plan.track()):
         paths = solve(radio, plan.anchors_m()[0], place[None], depth=1, samples=500, los=False, diffuse=True)
         alone = channel_response(PathSet.build(paths, 1, 1), plan.radio.grid())[0, 0, 0]
-        np.testing.assert_allclose(response[epoch, 0, 0, 0], alone, atol=1e-3 * np.abs(alone).max())
+        np.testing.assert_allclose(response[epoch, 0, 0, 0, 0], alone, atol=1e-3 * np.abs(alone).max())
         total += len(paths)
     assert total == count
 
@@ -107,6 +107,6 @@ def test_places_stay_where_they_are(hard_room: Traced) -> None:
     near = plan.updated({"agent.epochs": 40, "tracing.diffuse_samples": 500})
     response, _ = diffuse_response(near, radio, np.arange(near.agent.epochs))
     assert response.shape[0] == 40  # more than one batch, the last one filled up
-    power = np.mean(np.abs(response) ** 2, axis=(2, 3, 4))
+    power = np.mean(np.abs(response) ** 2, axis=(2, 3, 4, 5))
     assert np.all(power > 0)
     assert np.median(np.abs(10 * np.log10(power[1:] / power[:-1]))) < 3.0
