@@ -27,7 +27,6 @@ from estimator.dataset import Dataset, publish, temporary_name, write_text
 from raytrace.bounces import bounce_points
 from raytrace.floorplan import FloorPlan
 from raytrace.images import surfaces_of
-from raytrace.materials import permittivity
 from raytrace.paths import PathSet
 from raytrace.shards import stored_paths, stored_plan
 
@@ -75,7 +74,7 @@ def _matrices(dataset: Dataset, plan: FloorPlan, anchor: int) -> Iterator[dict[s
     """The matrices of one anchor, shard by shard."""
     track = plan.track()
     for shard in dataset.shards("paths"):
-        paths = stored_paths(shard, plan.heading_rad)
+        paths = stored_paths(shard, plan.heading_rad).specular()
         points = _spread(paths, plan, track[shard["epoch"].values])[:, anchor]
         valid, amplitude = paths.valid[:, anchor], paths.amplitude[:, anchor]
         with np.errstate(divide="ignore"):
@@ -149,14 +148,14 @@ def _materials(plan: FloorPlan) -> list[str]:
 
 def _material(plan: FloorPlan, index: int, name: str) -> dict[str, Any]:
     carrier_hz = plan.radio.carrier_hz
-    complex_permittivity = permittivity(name, carrier_hz)
+    complex_permittivity = plan.permittivity_of(name, carrier_hz)
     scattering = plan.scattering_of(name)
     return {
         "id": index,
         "name": name,
         "permittivity": complex_permittivity.real,
         "conductivity": -complex_permittivity.imag * 2.0 * np.pi * carrier_hz * _VACUUM_PERMITTIVITY_F_M,
-        "scattering_model": "lambertian" if scattering else "none",
+        "scattering_model": plan.scattering_pattern_of(name).pattern if scattering else "none",
         "scattering_coefficient": scattering,
     }
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.antennas import spherical_basis
 from raytrace.floorplan import FloorPlan
-from raytrace.materials import permittivity, slab_reflection
+from raytrace.materials import slab_reflection
 
 __all__ = ["specular_amplitude", "specular_transfer"]
 
@@ -120,7 +120,7 @@ def _reflect(
         slab = plan.surface_slabs[index]
         mine = surface == index
         specular = np.sqrt(1.0 - plan.scattering_of(slab.material) ** 2)
-        eta = permittivity(slab.material, carrier_hz)
+        eta = plan.permittivity_of(slab.material, carrier_hz)
         coefficients = slab_reflection(cosine[mine], eta, slab.thickness_m, carrier_hz)
         te[mine], tm[mine] = (specular * coefficient for coefficient in coefficients)
 

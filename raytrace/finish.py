@@ -19,6 +19,7 @@ from estimator.dataset import (
 from raytrace.card import CARD, data_card
 from raytrace.floorplan import FloorPlan
 from raytrace.manifest import statistics
+from raytrace.paths import SPECULAR
 from raytrace.shards import truth_shard
 
 __all__ = ["finish"]
@@ -48,7 +49,8 @@ def finish(writer: DatasetWriter, plan: FloorPlan, head: Mapping[str, Any]) -> D
             valid = paths["path_valid"].values.astype(bool)
             order, first_wall = paths["order"].values, paths["walls"].values[..., 0]
             delays.append(paths["delay_s"].values[valid & (order == 0)])
-        epoch, anchor, _ = at = np.nonzero(valid & (order == 1))
+            kinds = paths["interactions"].values[..., 0] if "interactions" in paths else SPECULAR
+        epoch, anchor, _ = at = np.nonzero(valid & (order == 1) & (kinds == SPECULAR))
         inside = first_wall[at] < len(plan.walls)
         reflects[entry["epochs"][0] + epoch[inside], anchor[inside], first_wall[at][inside]] = True
     truth = write_shard(writer.path, "truth", "truth.nc", truth_shard(plan, reflects), replace=True)

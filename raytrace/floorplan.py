@@ -19,12 +19,14 @@ from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from estimator.errors import InputError
 from raytrace.devices import Agent, Anchor, Name, Point2, Target
 from raytrace.links import Echo, Part, Positive, Radio, added
+from raytrace.materials import permittivity, relative_permittivity
 from raytrace.plan_checks import PlanFault, check_plan
+from raytrace.surfaces import Material, ScatteringPattern
 from raytrace.trajectory import smoothed_track, travel_azimuths
 
 __all__ = [
@@ -71,12 +73,31 @@ class Slab(Part):
 
 
 class Tracing(Part):
-    """How paths are searched for: bounces, rays, and whether scattering is traced."""
+    """How paths are searched for: bounces, rays, and which mechanisms besides specular reflection.
+
+    ``refraction`` adds paths through walls (each wall counts as a bounce), ``diffraction``
+    those around the corners at which two walls meet, ``edge_diffraction`` those around free
+    ends and rims, too. There is no oracle for these.
+    """
 
     depth: Annotated[int, Field(ge=0, le=3)] = 2
     samples: Annotated[int, Field(ge=1000, le=10_000_000)] = 6_000
     diffuse: bool = True
     diffuse_samples: Annotated[int, Field(ge=100, le=1_000_000)] = 2_000
+    refraction: bool = added(False)
+    diffraction: bool = added(False)
+    edge_diffraction: bool = added(False)
+
+    @property
+    def bends(self) -> bool:
+        """Whether paths through walls or around corners are to be traced."""
+        return self.refraction or self.diffraction
+
+    @model_validator(mode="after")
+    def _edges_need_diffraction(self) -> Tracing:
+        if self.edge_diffraction and not self.diffraction:
+            raise ValueError("expected diffraction = true with edge_diffraction, got false")
+        return self
 
 
 class FloorPlan(Part):
@@ -89,7 +110,9 @@ class FloorPlan(Part):
     walls: Annotated[tuple[Wall, ...], Field(min_length=1, strict=False)]
     floor: Slab | None = None
     ceiling: Slab | None = None
+    materials: dict[str, Material] = added({})
     scattering: dict[str, Fraction] = Field(default_factory=dict)
+    scattering_patterns: dict[str, ScatteringPattern] = added({})
     anchors: Annotated[tuple[Anchor, ...], Field(min_length=1, strict=False)]
     agent: Agent
     targets: Annotated[tuple[Target, ...], Field(strict=False)] = added(())
@@ -180,9 +203,26 @@ class FloorPlan(Part):
         """Time of every epoch since the first, shape (epochs,), seconds."""
         return np.arange(self.agent.epochs, dtype=np.float64) * (self.agent.step_m / self.agent.speed_m_s)
 
+    def permittivity_of(self, material: str, frequency_hz: float) -> complex:
+        """Complex relative permittivity of a material of the plan's own or of the ITU's table.
+
+        Raises
+        ------
+        InputError
+            If the material is unknown, or not defined at this frequency.
+        """
+        own = self.materials.get(material)
+        if own is None:
+            return permittivity(material, frequency_hz)
+        return relative_permittivity(own.relative_permittivity, own.conductivity_s_m, frequency_hz)
+
     def scattering_of(self, material: str) -> float:
         """Scattering coefficient S of a material (zero unless the plan sets one)."""
         return self.scattering.get(material, 0.0)
+
+    def scattering_pattern_of(self, material: str) -> ScatteringPattern:
+        """Scattering pattern of a material (Lambertian unless the plan sets one)."""
+        return self.scattering_patterns.get(material, ScatteringPattern())
 
     @property
     def scatters(self) -> bool:

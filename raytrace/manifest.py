@@ -107,7 +107,7 @@ def statistics(
     passive: Counter[str] = Counter()
     echo: Counter[str] = Counter()
     for entry in shards:
-        passive.update(entry.get("check", {}))
+        passive.update({**entry.get("check", {}), **entry.get("others", {})})
         passive.update({"diffuse": entry["diffuse"]} if "diffuse" in entry else {})
         echo.update(entry.get("returns", {}))
     snr_db = None

@@ -5,7 +5,7 @@ gives, for a frequency ``f`` in GHz inside a material's range,
 
     eps_r = a f^b,    sigma = c f^d  (S/m).
 
-Reflection is that of a single slab in air, (37), (43) and (44) of the same
+Reflection and transmission are those of a single slab in air, (37), (43) and (44) of the same
 recommendation. All of it is plain NumPy, so that a floor plan can be validated, and
 a traced amplitude checked, on a machine that has no ray tracer.
 """
@@ -18,7 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from estimator.errors import InputError
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 
-__all__ = ["ITU_MATERIALS", "frequency_ranges_hz", "permittivity", "slab_reflection"]
+__all__ = [
+    "ITU_MATERIALS",
+    "frequency_ranges_hz",
+    "permittivity",
+    "relative_permittivity",
+    "slab_reflection",
+    "slab_transmission",
+]
 
 _VACUUM_PERMITTIVITY_F_M = 8.854_187_812_8e-12
 
@@ -116,10 +123,14 @@ def permittivity(material: str, frequency_hz: float) -> complex:
     for (low, high), (a, b, c, d) in ITU_MATERIALS[material]:
         if low <= frequency_ghz <= high:
             conductivity = c * frequency_ghz**d
-            loss = conductivity / (2.0 * np.pi * frequency_hz * _VACUUM_PERMITTIVITY_F_M)
-            return complex(a * frequency_ghz**b, -loss)
+            return relative_permittivity(a * frequency_ghz**b, conductivity, frequency_hz)
     wanted = " or ".join(f"{low / 1e9:g} to {high / 1e9:g} GHz" for low, high in ranges)
     raise InputError(f"{material}: expected a frequency of {wanted}, got {frequency_ghz:g} GHz")
+
+
+def relative_permittivity(real: float, conductivity_s_m: float, frequency_hz: float) -> complex:
+    """``eps_r - j sigma / (omega eps_0)`` from its real part and a conductivity, siemens per metre."""
+    return complex(real, -conductivity_s_m / (2.0 * np.pi * frequency_hz * _VACUUM_PERMITTIVITY_F_M))
 
 
 def slab_reflection(
@@ -153,6 +164,22 @@ def slab_reflection(
     round_trip = np.exp(-2j * q)
     transverse_electric, transverse_magnetic = (
         np.asarray(single * (1.0 - round_trip) / (1.0 - single**2 * round_trip))  # (43a)
+        for single in (single_te, single_tm)
+    )
+    return transverse_electric, transverse_magnetic
+
+
+def slab_transmission(
+    cosine: ArrayLike, relative_permittivity: complex, thickness_m: float, frequency_hz: float
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Transmission coefficients of a slab in air, ITU-R P.2040-4 (43b); as :func:`slab_reflection`."""
+    cosine = np.asarray(cosine, dtype=np.float64)
+    root = np.sqrt(relative_permittivity - (1.0 - cosine**2))
+    single_te = (cosine - root) / (cosine + root)  # (37a)
+    single_tm = (relative_permittivity * cosine - root) / (relative_permittivity * cosine + root)  # (37b)
+    once = np.exp(-2j * np.pi * thickness_m * frequency_hz / SPEED_OF_LIGHT_M_S * root)  # (44)
+    transverse_electric, transverse_magnetic = (
+        np.asarray((1.0 - single**2) * once / (1.0 - single**2 * once**2))  # (43b)
         for single in (single_te, single_tm)
     )
     return transverse_electric, transverse_magnetic

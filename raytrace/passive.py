@@ -23,9 +23,9 @@ from raytrace.floorplan import FloorPlan
 from raytrace.images import image_paths
 from raytrace.paths import PathList, PathSet
 from raytrace.scene import RadioScene, build_scene
-from raytrace.solver import solve
+from raytrace.solver import Bends, solve
 
-__all__ = ["LEG_M", "RIM_M", "TraceReport", "trace_passive", "trace_specular"]
+__all__ = ["LEG_M", "RIM_M", "TraceReport", "trace_bent", "trace_passive", "trace_specular"]
 
 _BATCH = 256
 RIM_M = 1e-3
@@ -141,6 +141,36 @@ def trace_specular(
     return PathSet.build(paths, len(positions_m), len(sources_m)), report
 
 
+def trace_bent(plan: FloorPlan, radio: RadioScene, positions_m: Array) -> PathList:
+    """Paths through walls and around corners, as ``plan.tracing`` asks, from every anchor.
+
+    The image method knows none of them, so nothing tells whether one was lost in a hash
+    collision; every position is traced twice, in batches that differ.
+
+    Parameters
+    ----------
+    plan, radio
+        As for :func:`trace_passive`.
+    positions_m : ndarray, shape (n, 3)
+        Positions of the agent, metres.
+
+    Returns
+    -------
+    PathList
+        Paths with at least one refraction or diffraction; ``epoch`` counts the positions.
+    """
+    tracing = plan.tracing
+    bends = Bends(tracing.refraction, tracing.diffraction, tracing.edge_diffraction)
+    everywhere = np.arange(len(positions_m))
+    parts = [
+        _trace(radio, source, index, positions_m, epochs, tracing.depth, samples, plan.polarised, bends)
+        for index, source in enumerate(plan.anchors_m())
+        for epochs, samples in ((everywhere, tracing.samples), (np.roll(everywhere, 97), 4 * tracing.samples))
+    ]
+    paths = PathList.concatenate(parts)
+    return _distinct(paths.select(~paths.is_specular))
+
+
 def _trace(
     radio: RadioScene,
     source: Array,
@@ -150,12 +180,21 @@ def _trace(
     depth: int,
     samples: int,
     polarised: bool,
+    bends: Bends | None = None,
 ) -> PathList:
     """Paths of one source to some epochs, in full batches: the last is filled by repeating epochs."""
     filled = np.resize(epochs, -(-len(epochs) // _BATCH) * _BATCH)
     parts = []
     for batch in filled.reshape(-1, _BATCH):
-        traced = solve(radio, source, positions[batch], depth=depth, samples=samples, polarised=polarised)
+        traced = solve(
+            radio,
+            source,
+            positions[batch],
+            depth=depth,
+            samples=samples,
+            polarised=polarised,
+            bends=bends,
+        )
         parts.append(replace(traced, epoch=batch[traced.epoch], anchor=np.full(len(traced), index)))
     return _distinct(PathList.concatenate(parts))
 
@@ -163,6 +202,6 @@ def _trace(
 def _distinct(paths: PathList) -> PathList:
     """One of each path, the first in canonical order."""
     paths = paths.canonical()
-    rows = np.column_stack([paths.epoch, paths.anchor, paths.walls])
+    rows = np.column_stack([paths.epoch, paths.anchor, paths.walls, paths.interactions])
     _, first = np.unique(rows, axis=0, return_index=True)
     return paths.select(np.sort(first))

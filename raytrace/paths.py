@@ -133,8 +133,15 @@ class PathList:
         return key
 
     def canonical(self) -> PathList:
-        """Sorted by epoch, anchor, delay, order and walls."""
-        columns = [*self.walls.T[::-1], self.order, self.delay_s, self.anchor, self.epoch]
+        """Sorted by epoch, anchor, delay, order, walls and interactions."""
+        columns = [
+            *self.interactions.T[::-1],
+            *self.walls.T[::-1],
+            self.order,
+            self.delay_s,
+            self.anchor,
+            self.epoch,
+        ]
         return self.select(np.lexsort(columns))
 
 
@@ -187,6 +194,11 @@ class PathSet:
             if field.name != "valid"
         }
         return PathSet(valid=spread(np.ones(len(paths), dtype=np.bool_), False), **columns)
+
+    def specular(self) -> PathSet:
+        """Only the lines of sight and the paths that bounce specularly alone."""
+        paths = self.flat()
+        return PathSet.build(paths.select(paths.is_specular), *self.valid.shape[:2])
 
     def flat(self) -> PathList:
         """The paths one after the other, in canonical order."""

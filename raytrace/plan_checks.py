@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 
 from estimator.errors import InputError
-from raytrace.materials import ITU_MATERIALS, permittivity
+from raytrace.materials import ITU_MATERIALS
 
 if TYPE_CHECKING:
     from raytrace.floorplan import FloorPlan
@@ -74,20 +74,26 @@ def _check_walls(plan: FloorPlan) -> None:
 
 
 def _check_materials(plan: FloorPlan) -> None:
+    for material in plan.materials:
+        if material in ITU_MATERIALS:
+            raise PlanFault(f"materials: expected names that are not of the ITU's table, got {material!r}")
+    known = (*ITU_MATERIALS, *plan.materials)
     fields = [f"walls[{index}] ({wall.name})" for index, wall in enumerate(plan.walls)]
     for field, slab in zip([*fields, *plan.surface_names[len(fields) :]], plan.surface_slabs, strict=True):
-        if slab.material not in ITU_MATERIALS:
-            raise PlanFault(
-                f"{field}.material: expected one of {', '.join(ITU_MATERIALS)}, got {slab.material!r}"
-            )
+        if slab.material not in known:
+            raise PlanFault(f"{field}.material: expected one of {', '.join(known)}, got {slab.material!r}")
         for link, carrier_hz in (("radio", plan.radio.carrier_hz), ("echo", plan.echo.carrier_hz)):
             try:
-                permittivity(slab.material, carrier_hz)
+                plan.permittivity_of(slab.material, carrier_hz)
             except InputError as error:
                 raise PlanFault(f"{field}.material with {link}.carrier_hz: {error}") from error
-    for material in plan.scattering:
-        if material not in ITU_MATERIALS:
-            raise PlanFault(f"scattering: expected names among {', '.join(ITU_MATERIALS)}, got {material!r}")
+    for field, materials in (
+        ("scattering", plan.scattering),
+        ("scattering_patterns", plan.scattering_patterns),
+    ):
+        for material in materials:
+            if material not in known:
+                raise PlanFault(f"{field}: expected names among {', '.join(known)}, got {material!r}")
 
 
 def _room(plan: FloorPlan) -> shapely.Geometry:

@@ -1,9 +1,10 @@
 """A floor plan as a scene of Sionna RT.
 
 Surfaces of one material and thickness share one mesh (a solve costs time per object,
-not per wall); which wall a triangle belongs to follows from its number. Geometry is
-that of :func:`raytrace.images.surfaces_of`. Call :func:`raytrace.backend.prepare`
-before; this module imports the ray tracer when its functions run.
+not per wall); which wall a triangle belongs to follows from its number. For diffraction,
+walls of one mesh that meet share the vertices of the corner. Geometry is that of
+:func:`raytrace.images.surfaces_of`. Call :func:`raytrace.backend.prepare` before; this
+module imports the ray tracer when its functions run.
 """
 
 from __future__ import annotations
@@ -75,7 +76,10 @@ def build_scene(plan: FloorPlan, carrier_hz: float) -> RadioScene:
         name = f"slab-{number}"
         objects.append(
             rt.SceneObject(
-                mi_mesh=_mesh(name, corners[members]), name=name, radio_material=_material(plan, slab, number)
+                mi_mesh=_mesh(name, corners[members]),
+                name=name,
+                radio_material=_material(plan, slab, number),
+                remove_duplicate_vertices=plan.tracing.diffraction,
             )
         )
     scene.add(objects)
@@ -89,12 +93,17 @@ def build_scene(plan: FloorPlan, carrier_hz: float) -> RadioScene:
 def _material(plan: FloorPlan, slab: Wall | Slab, number: int) -> Any:
     import sionna.rt as rt
 
-    return rt.ITURadioMaterial(
-        name=f"{slab.material}-{number}",
-        itu_type=slab.material,
-        thickness=slab.thickness_m,
-        scattering_coefficient=plan.scattering_of(slab.material),
-        scattering_pattern="lambertian",
+    common = {
+        "name": f"{slab.material}-{number}",
+        "thickness": slab.thickness_m,
+        "scattering_coefficient": plan.scattering_of(slab.material),
+        **plan.scattering_pattern_of(slab.material).parameters(),
+    }
+    own = plan.materials.get(slab.material)
+    if own is None:
+        return rt.ITURadioMaterial(itu_type=slab.material, **common)
+    return rt.RadioMaterial(
+        relative_permittivity=own.relative_permittivity, conductivity=own.conductivity_s_m, **common
     )
 
 

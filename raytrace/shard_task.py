@@ -29,7 +29,8 @@ from raytrace.echo import EchoSweep, sweep_echo
 from raytrace.floorplan import FloorPlan
 from raytrace.impairments import jitter, miscalibrate
 from raytrace.output import Output
-from raytrace.passive import trace_specular
+from raytrace.passive import trace_bent, trace_specular
+from raytrace.paths import DIFFRACTION, REFRACTION, PathList, PathSet
 from raytrace.reception import receive
 from raytrace.scattering import diffuse_response
 from raytrace.scene import RadioScene, build_scene
@@ -96,9 +97,10 @@ class MadeShard:
     first, stop : int
         Its epochs.
     entries : tuple of dict
-        Entries of its files for the manifest. That of the paths has in ``check`` how
-        they compare with the image method, that of the echo in ``returns`` what was
-        heard, that of the channels in ``diffuse`` how many diffuse paths they contain.
+        Entries of its files for the manifest. That of the paths has in ``check`` how they
+        compare with the image method, and in ``others`` how many bend, which it does not
+        know; that of the echo has in ``returns`` what was heard, that of the channels in
+        ``diffuse`` how many diffuse paths they contain.
     seconds : dict of str to float
         Wall-clock seconds of each stage.
     """
@@ -164,6 +166,13 @@ def make_shard(task: ShardTask, folder: Path, stages: Stages | None = None) -> M
             paths, report = trace_specular(
                 plan, radio, plan.anchors_m(), positions, plan.tracing.depth, polarised=plan.polarised
             )
+            others: dict[str, int] = {}
+            if plan.tracing.bends:
+                bent = trace_bent(plan, radio, positions)
+                paths = PathSet.build(
+                    PathList.concatenate([paths.flat(), bent]), len(positions), len(plan.anchors)
+                )
+                others = _counts(bent)
         with stages("channels"):
             response = receive(plan, paths, task.epochs)
             diffuse_paths = 0
@@ -192,9 +201,15 @@ def make_shard(task: ShardTask, folder: Path, stages: Stages | None = None) -> M
             facts = {"returns": sweep.as_dict()}
             entries.append(write_shard(folder, "echo", name.format("echo"), shard, True, **place, **facts))
         shard = paths_shard(plan, paths, task.epochs)
-        check = report.as_dict()
-        entries.append(write_shard(folder, "paths", name.format("paths"), shard, True, **place, check=check))
+        facts = {"check": report.as_dict(), **({"others": others} if plan.tracing.bends else {})}
+        entries.append(write_shard(folder, "paths", name.format("paths"), shard, True, **place, **facts))
     return MadeShard(task.first, task.stop, tuple(entries), dict(stages.seconds))
+
+
+def _counts(paths: PathList) -> dict[str, int]:
+    """How many paths refract somewhere, and how many diffract."""
+    kinds = (("refracted", REFRACTION), ("diffracted", DIFFRACTION))
+    return {name: int(np.sum((paths.interactions == kind).any(axis=1))) for name, kind in kinds}
 
 
 def _sweep(task: ShardTask, radio: RadioScene) -> tuple[EchoSweep | None, NDArray[np.complex128]]:

@@ -8,6 +8,7 @@ departure angles, walls, anchors and the track are in the plan frame.
 from __future__ import annotations
 
 import tomllib
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -18,7 +19,7 @@ from estimator.errors import FileFormatError
 from estimator.geometry import vrp_of_line
 from estimator.waveform import impulse_response
 from raytrace.floorplan import FloorPlan, parse_floorplan
-from raytrace.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathSet
+from raytrace.paths import DIFFRACTION, NO_INTERACTION, NO_SURFACE, REFRACTION, SPECULAR, PathSet
 from raytrace.reception import doppler_hz
 
 __all__ = ["echo_shard", "passive_shard", "paths_shard", "stored_paths", "stored_plan", "truth_shard"]
@@ -126,9 +127,26 @@ def paths_shard(plan: FloorPlan, paths: PathSet, epochs: NDArray[np.int64]) -> x
                     "flag_meanings": " ".join(name.replace(" ", "_") for name in plan.surface_names),
                 },
             ),
+            **(_interactions(paths) if plan.tracing.bends else {}),
         },
         coords={**_epochs(epochs), **_anchors(plan)},
     )
+
+
+def _interactions(paths: PathSet) -> dict[str, tuple[tuple[str, ...], NDArray[np.int8], dict[str, Any]]]:
+    kinds = {
+        "none": NO_INTERACTION,
+        "specular": SPECULAR,
+        "refraction": REFRACTION,
+        "diffraction": DIFFRACTION,
+    }
+    facts = {
+        "units": "1",
+        "long_name": "what the path does at each surface",
+        "flag_values": np.array(list(kinds.values()), dtype=np.int8),
+        "flag_meanings": " ".join(kinds),
+    }
+    return {"interactions": (("epoch", "anchor", "path", "bounce"), paths.interactions, facts)}
 
 
 def truth_shard(plan: FloorPlan, reflects: NDArray[np.bool_]) -> xr.Dataset:

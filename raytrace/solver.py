@@ -8,6 +8,7 @@ becomes part of the kernel's code, which is then compiled anew for each.)
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,21 @@ from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.paths import NO_INTERACTION, NO_SURFACE, PathList
 from raytrace.scene import RadioScene
 
-__all__ = ["solve"]
+__all__ = ["Bends", "solve"]
 
 # Paths that a call can hold; memory is about 0.2 kB each, and what does not fit is lost.
 _MOST_PATHS = 200_000
 # Of no effect on specular paths, which involve no chance; fixes where diffuse ones scatter.
 _SEED = 1
+
+
+@dataclass(frozen=True)
+class Bends:
+    """What a path may do besides reflection: pass walls, or turn around corners and free edges."""
+
+    refraction: bool = False
+    diffraction: bool = False
+    edge_diffraction: bool = False
 
 
 def solve(
@@ -35,6 +45,7 @@ def solve(
     los: bool = True,
     diffuse: bool = False,
     polarised: bool = False,
+    bends: Bends | None = None,
     most_paths: int = _MOST_PATHS,
 ) -> PathList:
     """Trace paths from one source to every target.
@@ -56,6 +67,8 @@ def solve(
         Trace diffuse reflections alone (all rays go into them) in place of specular ones.
     polarised : bool
         Compute ``PathList.transfer``, the gains between all polarisations.
+    bends : Bends, optional
+        Whether to trace paths through walls and around corners, too; by default neither.
     most_paths : int
         Most paths to all targets together; further ones are lost.
 
@@ -65,7 +78,16 @@ def solve(
         In no particular order.
     """
     paths = _sionna_paths(
-        radio, source_m, targets_m, depth, samples, los, diffuse, most_paths, "VH" if polarised else "V"
+        radio,
+        source_m,
+        targets_m,
+        depth,
+        samples,
+        los,
+        diffuse,
+        most_paths,
+        "VH" if polarised else "V",
+        bends or Bends(),
     )
     return _path_list(radio, paths, depth)
 
@@ -80,6 +102,7 @@ def _sionna_paths(
     diffuse: bool,
     most_paths: int,
     polarization: str = "V",
+    bends: Bends = Bends(),
 ) -> Any:
     import sionna.rt as rt
 
@@ -99,7 +122,9 @@ def _sionna_paths(
         los=los,
         specular_reflection=not diffuse,
         diffuse_reflection=diffuse,
-        refraction=False,
+        refraction=bends.refraction,
+        diffraction=bends.diffraction,
+        edge_diffraction=bends.edge_diffraction,
         seed=_SEED,
     )
 
@@ -124,7 +149,7 @@ def _path_list(radio: RadioScene, paths: Any, depth: int) -> PathList:
 
     def by_mode(tensor: Any) -> NDArray[Any]:  # (received, target, sent, path)
         whole = tensor.numpy()[0, :, 0]
-        return np.asarray(whole.reshape(modes, -1, *whole.shape[1:]))
+        return np.asarray(whole.reshape(modes, whole.shape[0] // modes, *whole.shape[1:]))
 
     valid = by_mode(paths.valid)[0, :, 0]  # (target, path)
     target, _ = np.nonzero(valid)

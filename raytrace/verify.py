@@ -3,7 +3,8 @@
 The image method constructs the paths anew from the plan in the truth file, and every
 path in the files is looked for among them, and the other way round. Hashes of all
 shards are checked on the way. As in generation, paths that are decided at a corner (to a
-millimetre, or by two bounces within a centimetre) may or may not have been traced.
+millimetre, or by two bounces within a centimetre) may or may not have been traced. Paths
+through walls and around corners are left out.
 """
 
 from __future__ import annotations
@@ -114,7 +115,7 @@ def verify(dataset: Dataset, progress: Progress | None = None) -> Verification:
         if not np.array_equal(epochs, np.arange(done, done + len(epochs))):
             raise FileFormatError(f"{dataset.path}: expected paths from epoch {done} on, got {epochs[:1]}")
         paths = stored_paths(shard, plan.heading_rad).flat()
-        result = result + _compare(plan, track[epochs], paths, done)
+        result = result + _compare(plan, track[epochs], paths.select(paths.is_specular), done)
         done += len(epochs)
         if progress is not None:
             progress(done, len(track), "comparing paths")

@@ -185,6 +185,20 @@ BAD_VALUES = [
         r"agent_array\.rows: expected greater than or equal to 1, got 0",
     ),
     ({"anchors.0.downtilt_deg": 100.0}, r"anchors\[0\]\.downtilt_deg: expected less than or equal to 90"),
+    ({"tracing": {"edge_diffraction": True}}, "tracing: expected diffraction = true with edge_diffraction"),
+    ({"tracing": {"refraction": 1}}, r"tracing\.refraction: expected a valid boolean, got 1"),
+    ({"materials": {"brick": {"relative_permittivity": 3.0}}}, "materials: expected names .* got 'brick'"),
+    (
+        {"materials": {"oak": {"relative_permittivity": 0.5}}},
+        r"materials\.oak\.relative_permittivity: .* got 0\.5",
+    ),
+    ({"materials": {"oak": {}}}, r"materials\.oak\.relative_permittivity: expected a value, it is missing"),
+    ({"scattering_patterns": {"cheese": {}}}, "scattering_patterns: expected names among .*, got 'cheese'"),
+    ({"scattering_patterns": {"brick": {"alpha_r": 0}}}, r"scattering_patterns\.brick\.alpha_r: .* got 0"),
+    (
+        {"scattering_patterns": {"brick": {"pattern": "phong"}}},
+        r"pattern: expected 'lambertian', .* got 'phong'",
+    ),
     ({"tracing": {"depth": 9}}, r"tracing\.depth: expected less than or equal to 3, got 9"),
 ]
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.channel import channel_response
 from raytrace.floorplan import FloorPlan, parse_floorplan
+from raytrace.images import surfaces_of
 from raytrace.materials import permittivity, slab_reflection
 from raytrace.passive import TraceReport
-from raytrace.paths import PathSet
+from raytrace.paths import PathSet, directions_of
 from raytrace.scattering import diffuse_response
 from raytrace.scene import RadioScene, build_scene
 from raytrace.solver import solve
@@ -110,3 +112,60 @@ def test_places_stay_where_they_are(hard_room: Traced) -> None:
     power = np.mean(np.abs(response) ** 2, axis=(2, 3, 4, 5))
     assert np.all(power > 0)
     assert np.median(np.abs(10 * np.log10(power[1:] / power[:-1]))) < 3.0
+
+
+@pytest.mark.parametrize(
+    ("lobes", "alpha_i", "share"),
+    [({"pattern": "directive"}, 1, 1.0), ({"pattern": "backscattering"}, 7, 0.3)],
+)
+def test_lobes_are_those_of_the_models(lobes: dict[str, object], alpha_i: int, share: float) -> None:
+    """Path by path, a lobe's power over the Lambertian one is the ratio of the two patterns.
+
+    The same rays scatter at the same places, so that only the patterns differ. A pattern is the
+    sum of lobes ``((1 + cos psi)/2)^alpha`` about the specular and the incident direction over its
+    integral on the hemisphere, here by quadrature; the Lambertian one is ``cos(theta)/pi``.
+    """
+    plan = one_rough_wall()
+    alpha_r, place = 5, plan.track()[:1]
+    parameters = {"alpha_r": alpha_r, "alpha_i": alpha_i, "specular_share": share, **lobes}
+    lobed = plan.updated({"scattering_patterns": {plan.walls[0].material: parameters}})
+    power = []
+    for each in (plan, lobed):
+        radio = build_scene(each, each.radio.carrier_hz)
+        traced = solve(radio, each.anchors_m()[0], place, depth=1, samples=2000, los=False, diffuse=True)
+        power.append(
+            traced.select(np.argsort(traced.departure_azimuth_rad * 1e3 + traced.departure_elevation_rad))
+        )
+    lambert, lobe = power
+    normal = surfaces_of(plan).normal[lambert.walls[:, 0]]
+    towards = directions_of(lambert.departure_azimuth_rad, lambert.departure_elevation_rad)
+    back = directions_of(
+        lambert.arrival_azimuth_rad, lambert.arrival_elevation_rad
+    )  # from the agent to the wall
+    normal = np.where(np.sum(normal * towards, axis=1)[:, None] > 0, -normal, normal)
+    specular = towards - 2 * np.sum(towards * normal, axis=1)[:, None] * normal
+    scattered = -back
+
+    def shape(directions: np.ndarray, mirror: np.ndarray, incident: np.ndarray) -> np.ndarray:
+        forward = (0.5 + 0.5 * np.sum(directions * mirror, axis=-1)) ** alpha_r
+        return (
+            share * forward + (1 - share) * (0.5 + 0.5 * np.sum(directions * -incident, axis=-1)) ** alpha_i
+        )
+
+    rise, turn = np.meshgrid((np.arange(60) + 0.5) / 60, 2 * np.pi * np.arange(120) / 120, indexing="ij")
+    across = np.stack(
+        np.broadcast_arrays(np.sqrt(1 - rise**2) * np.cos(turn), np.sqrt(1 - rise**2) * np.sin(turn))
+    )
+    up = np.array([0.0, 0.0, 1.0])
+    side = np.cross(normal, up)
+    grid = (
+        across[0][..., None] * side[:, None, None]
+        + across[1][..., None] * up
+        + rise[..., None] * normal[:, None, None]
+    )
+    integral = 2 * np.pi * shape(grid, specular[:, None, None], towards[:, None, None]).mean(axis=(1, 2))
+    expected = shape(scattered, specular, towards) / integral / (np.sum(scattered * normal, axis=1) / np.pi)
+    ratio = np.abs(lobe.amplitude) ** 2 / np.abs(lambert.amplitude) ** 2
+    assert len(ratio) > 100
+    np.testing.assert_allclose(ratio, expected, rtol=0.02)
+    assert np.ptp(10 * np.log10(expected)) > 4.0
