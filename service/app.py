@@ -14,7 +14,7 @@ from service.auth import KeyRing
 from service.context import Context
 from service.database import opened
 from service.middleware import RequestMiddleware
-from service.routes import events, health, measurements, pages, sessions, state, uploads
+from service.routes import echoes, events, health, measurements, pages, sessions, state, uploads
 from service.settings import Settings
 from service.store import Store
 from service.telemetry import Metrics
@@ -67,7 +67,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.context = here
     problems.install(app)
     app.add_middleware(RequestMiddleware, metrics=here.metrics, timeout_s=settings.request_timeout_s)
-    for module in (health, sessions, measurements, uploads, state, events, pages):
+    for module in (health, sessions, echoes, measurements, uploads, state, events, pages):
         app.include_router(module.router)
     return app
 

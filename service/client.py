@@ -127,6 +127,10 @@ class Client:
         """Walls, anchors, agent and track."""
         return self._call("GET", f"/v1/sessions/{session}/map", params=_given(epoch=epoch))
 
+    def smoothed(self, session: str, lag: int = 0) -> dict[str, Any]:
+        """Track and map given all measurements so far; ``lag`` epochs ahead if not 0."""
+        return self._call("GET", f"/v1/sessions/{session}/smoothed", params={"lag": lag})
+
     def export(self, session: str) -> bytes:
         """All estimates as a result file (netCDF)."""
         return self._send("GET", f"/v1/sessions/{session}/export").content

@@ -16,6 +16,7 @@ __all__ = [
     "Flash",
     "Name",
     "Number",
+    "ReflectionPoint",
     "Request",
     "SessionRequest",
     "SiEpoch",
@@ -119,8 +120,16 @@ class Flash(Request):
         return GaussianVrp(2.0 * self.range_m * turn[:, 0], 0.5 * (covariance + covariance.T))
 
 
+class ReflectionPoint(Request):
+    """What one beam saw: a return from ``range_m`` in direction ``azimuth_rad``, of whatever wall."""
+
+    range_m: Positive
+    range_std_m: Positive
+    azimuth_rad: Finite
+
+
 class SweepRequest(Request):
-    """What active sensing saw at the start: walls with covariances, or flashes."""
+    """What active sensing saw at the start: walls with covariances, flashes, or reflection points."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -143,9 +152,13 @@ class SweepRequest(Request):
     sweep: Number = 0
     walls: Annotated[list[Wall], Field(max_length=1000)] = Field(default_factory=list)
     flashes: Annotated[list[Flash], Field(max_length=1000)] = Field(default_factory=list)
+    points: Annotated[list[ReflectionPoint], Field(max_length=720)] = Field(
+        default_factory=list,
+        description="One a beam; walls are sought among them, and lines fitted through them.",
+    )
 
     def gaussians(self) -> list[GaussianVrp]:
-        """The walls in the estimator's terms, in the order given."""
+        """The walls and flashes in the estimator's terms, in the order given."""
         return [wall.gaussian() for wall in self.walls] + [flash.gaussian() for flash in self.flashes]
 
 

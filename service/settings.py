@@ -44,6 +44,8 @@ class Settings(BaseSettings):
         Largest numbers in one request or session.
     max_unpacked_bytes : int
         Largest size of an uploaded file once decompressed.
+    max_smoothed_epochs : int
+        Longest session that is smoothed.
     max_sessions_per_key : int
         Sessions that one key may hold.
     request_timeout_s : float
@@ -61,6 +63,7 @@ class Settings(BaseSettings):
     port: Annotated[int, Field(ge=0, le=65535)] = 8600
     workers: Annotated[int, Field(ge=0, le=256)] = Field(default_factory=lambda: os.cpu_count() or 1)
     max_waiting: Count = 64
+    max_smoothed_epochs: Count = 10_000
     max_body_bytes: Count = 64 * 2**20
     max_epochs_per_request: Count = 10_000
     max_paths_per_anchor: Count = 200

@@ -26,7 +26,7 @@ from service.errors import TooLargeError
 from service.fold import StateCache
 from service.push import truth_entry
 
-__all__ = ["ChannelsTask", "FileTask", "Unpacked"]
+__all__ = ["ChannelsTask", "FileTask", "Unpacked", "columns", "evenly_spaced", "read_arrays"]
 
 _ZIP, _HDF5 = b"PK\x03\x04", b"\x89HDF\r\n\x1a\n"
 _BATCH = 64  # channels estimated together
@@ -63,14 +63,14 @@ class ChannelsTask:
         del cache
         from estimator.channel.nomp import NompPlan  # of the workers alone: the server starts sooner
 
-        data = _columns(_arrays(self.body, self.max_unpacked_bytes))
+        data = columns(read_arrays(self.body, self.max_unpacked_bytes, _CHANNELS))
         real, imaginary = data["cfr_re"], data["cfr_im"]
         if real.shape != imaginary.shape:
             raise FileFormatError(f"cfr_im: expected shape {real.shape} as cfr_re, got {imaginary.shape}")
         cfr = real + 1j * imaginary
         index, time_s = data["epoch"], data["time_s"]
         names = [str(name) for name in data["anchor"].ravel()]
-        grid = self._grid(data["tone_offset_hz"])
+        grid = evenly_spaced(data["tone_offset_hz"], self.carrier_hz)
         wanted = (len(index), len(self.anchors), grid.tones)
         if cfr.ndim != 4 or cfr.shape[2] < 1 or (cfr.shape[0], cfr.shape[1], cfr.shape[3]) != wanted:
             raise FileFormatError(
@@ -95,16 +95,6 @@ class ChannelsTask:
             Epoch(int(index[i]), float(time_s[i]), tuple(found[i * count : (i + 1) * count]))
             for i in range(len(index))
         )
-
-    def _grid(self, offset_hz: NDArray[np.float64]) -> OfdmGrid:
-        """The grid of the tones: what matters to delays is their number and their spacing."""
-        spacing = np.diff(offset_hz) if offset_hz.ndim == 1 else np.zeros(0)
-        even = spacing.size and np.all(np.isfinite(spacing)) and spacing[0] > 0.0
-        if not even or not np.allclose(spacing, spacing[0], rtol=1e-6):
-            raise FileFormatError(
-                "tone_offset_hz: expected ascending, evenly spaced offsets of two tones or more"
-            )
-        return OfdmGrid(self.carrier_hz, float(spacing.mean()), len(offset_hz))
 
 
 @dataclass(frozen=True)
@@ -155,23 +145,31 @@ class FileTask:
                 raise FileFormatError(str(error).replace(f"{folder}/", "")) from error
 
 
-def _arrays(body: bytes, limit: int) -> dict[str, Any]:
-    """The arrays of a file of channels."""
+def read_arrays(body: bytes, limit: int, wanted: tuple[str, ...]) -> dict[str, Any]:
+    """Arrays of a netCDF or npz file by name.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is neither, or one of them is missing.
+    TooLargeError
+        If it would unpack to more than ``limit`` bytes.
+    """
     try:
         if body.startswith(_ZIP):
             with zipfile.ZipFile(io.BytesIO(body)) as archive:
                 _check_archive(archive, limit)
             with np.load(io.BytesIO(body), allow_pickle=False) as arrays:
-                return {name: arrays[name] for name in _CHANNELS}
+                return {name: arrays[name] for name in wanted}
         if body.startswith(_HDF5):
             with TemporaryDirectory(prefix="hapslam-") as folder:
                 file = Path(folder) / "channels.nc"
                 file.write_bytes(body)
                 _check_netcdf(file, limit)
                 with xr.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
-                    return {name: data[name].values for name in _CHANNELS}
+                    return {name: data[name].values for name in wanted}
     except KeyError as error:
-        raise FileFormatError(f"file: expected {', '.join(_CHANNELS)}, {error} is missing") from error
+        raise FileFormatError(f"file: expected {', '.join(wanted)}, {error} is missing") from error
     except (InputError, TooLargeError):
         raise
     except Exception as error:  # whatever the libraries make of rubbish
@@ -181,13 +179,30 @@ def _arrays(body: bytes, limit: int) -> dict[str, Any]:
     raise FileFormatError("file: expected netCDF-4 or npz, got something else")
 
 
-def _columns(arrays: dict[str, Any]) -> dict[str, NDArray[Any]]:
-    """The arrays with the types that they must have."""
-    kinds = {"epoch": np.int64, "anchor": np.str_}
+def columns(arrays: dict[str, Any]) -> dict[str, NDArray[Any]]:
+    """The arrays with the types that they must have; raises FileFormatError."""
+    kinds = {"epoch": np.int64, "sweep_epoch": np.int64, "anchor": np.str_}
     try:
         return {name: np.asarray(value, dtype=kinds.get(name, np.float64)) for name, value in arrays.items()}
     except (ValueError, TypeError, OverflowError) as error:
         raise FileFormatError(f"file: expected arrays of numbers, and names of anchors: {error}") from error
+
+
+def evenly_spaced(offset_hz: NDArray[np.float64], carrier_hz: float) -> OfdmGrid:
+    """The grid of the tones: what matters to delays is their number and their spacing.
+
+    Raises
+    ------
+    FileFormatError
+        If they are not ascending and evenly spaced.
+    """
+    spacing = np.diff(offset_hz) if offset_hz.ndim == 1 else np.zeros(0)
+    even = spacing.size and np.all(np.isfinite(spacing)) and spacing[0] > 0.0
+    if not even or not np.allclose(spacing, spacing[0], rtol=1e-6):
+        raise FileFormatError(
+            "tone_offset_hz: expected ascending, evenly spaced offsets of two tones or more"
+        )
+    return OfdmGrid(carrier_hz, float(spacing.mean()), len(offset_hz))
 
 
 def _check_archive(archive: zipfile.ZipFile, limit: int) -> None:

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Response
 from sqlalchemy import Connection, Row
 
 from service.context import Context, ContextDep, SessionAccess, SessionDep
+from service.errors import TooLargeError
 from service.results import (
     latest_epoch,
     map_document,
@@ -18,6 +19,7 @@ from service.results import (
     result_file,
     session_result,
 )
+from service.smoothing import SmoothTask
 
 __all__ = ["router"]
 
@@ -65,6 +67,32 @@ async def trajectory(
         return {name: [getattr(found, name) for found in rows] for name in _COLUMNS}
 
     return await _looked(here, session, look)
+
+
+@router.get("/smoothed", summary="Track and map given all measurements", response_class=Response)
+async def smoothed(
+    session: SessionDep,
+    here: ContextDep,
+    lag: Annotated[int, Query(ge=0, le=1000, description="Epochs to look ahead; 0 for the whole run.")] = 0,
+) -> Response:
+    """The run smoothed: every epoch's agent, and the map, given all measurements, with marginal covariances.
+
+    The track as columns in the estimator's frame, the map as `map` gives it. It is computed at each
+    request, from what the session's engine found.
+    """
+
+    def look(row: Row[Any], connection: Connection) -> SmoothTask:
+        latest_epoch(row, None)
+        limit = here.settings.max_smoothed_epochs
+        if row.next_epoch > limit:
+            raise TooLargeError(
+                f"expected a session of at most {limit} epochs to smooth, it has {row.next_epoch}"
+            )
+        sweeps, epochs = (tuple(here.store.log(row.id, kind, connection)) for kind in ("sweep", "epoch"))
+        return SmoothTask(row.config, sweeps, epochs, session_result(here.store, row, connection), lag)
+
+    task = await _looked(here, session, look)
+    return Response(await here.run(here.pool.run, session.id, task), media_type="application/json")
 
 
 @router.get("/map", summary="The map")

@@ -1,6 +1,6 @@
 // The map on a canvas: pan, zoom, walls with their uncertainty, anchors, track, truth.
 
-import { add, across, ellipse, line, scale, seen } from "./geometry.js";
+import { add, across, ellipse, line, norm, scale, seen } from "./geometry.js";
 
 const MARGIN = 0.12;
 
@@ -152,7 +152,9 @@ export class MapView {
     c.lineJoin = c.lineCap = "round";
     this.grid();
     if (this.scene.showTruth && this.scene.truth) this.truth(this.scene.truth);
-    if (this.scene.state) this.estimates();
+    if (!this.scene.state) return;
+    if (this.scene.showCandidates) this.candidates();
+    this.estimates();
   }
 
   grid() {
@@ -196,6 +198,35 @@ export class MapView {
     this.path(truth.track_m.map((p) => this.toPixels(p)));
     c.globalAlpha = 1;
     for (const anchor of truth.anchors_m) this.triangle(this.toPixels(anchor), 11);
+  }
+
+  // What else may be: walls and places of the hypotheses, the fainter the less likely.
+  candidates() {
+    const { context: c, scene } = this, { state, track, place } = scene;
+    const anchors = state.anchors.filter((anchor) => anchor.located).map((anchor) => anchor.position_m);
+    const walked = this.sampled(track);
+    const found = new Map(state.walls.map((wall) => [wall.id, wall.vrp_m]));
+    const known = ({ id, vrp_m }) => found.has(id) && norm(add(vrp_m, scale(found.get(id), -1))) < 0.5;
+    for (const [i, candidate] of state.candidates.entries()) {
+      c.globalAlpha = 0.2 + 0.5 * candidate.weight;
+      c.strokeStyle = this.colour("wall");
+      c.lineWidth = 2;
+      c.setLineDash([2, 6]);
+      for (const wall of candidate.walls) {
+        if (known(wall)) continue;
+        const { foot, tangent } = line(wall.vrp_m);
+        const at = (t) => this.toPixels(place(add(foot, scale(tangent, t))));
+        this.path(seen(wall.vrp_m, anchors, walked).map(at));
+      }
+      c.setLineDash([]);
+      if (i === 0) continue;
+      c.strokeStyle = this.colour("agent");
+      c.lineWidth = 1.2;
+      c.beginPath();
+      c.arc(...this.toPixels(place(candidate.position_m)), 5, 0, 2 * Math.PI);
+      c.stroke();
+    }
+    c.globalAlpha = 1;
   }
 
   estimates() {

@@ -26,7 +26,7 @@ export class SessionView {
     $("zoom-in").onclick = () => this.map.closer(1.4);
     $("zoom-out").onclick = () => this.map.closer(1 / 1.4);
     $("fit").onclick = () => this.map.fitAgain();
-    $("truth").onchange = $("enlarge").onchange = () => this.draw();
+    for (const id of ["truth", "candidates", "enlarge"]) $(id).onchange = () => this.draw();
     $("slider").oninput = () => this.seek(+$("slider").value);
     $("live").onclick = () => this.goLive();
     $("play").onclick = () => this.play();
@@ -81,7 +81,7 @@ export class SessionView {
   links(id) {
     for (const [name, leaf, file] of [
       ["png", "map.png", "map.png"], ["svg", "map.svg", "map.svg"], ["geojson", "map?format=geojson", "map.geojson"],
-      ["export", "export", "result.nc"], ["log", "measurements", "measurements.nc"],
+      ["smoothed", "smoothed", "smoothed.json"], ["export", "export", "result.nc"], ["log", "measurements", "measurements.nc"],
     ]) {
       $(name).href = `${this.path}/${leaf}`;
       $(name).onclick = (event) => {
@@ -179,7 +179,7 @@ export class SessionView {
     for (let i = 0; i <= this.epoch; i++) track.push([this.columns.x_m[i], this.columns.y_m[i]]);
     this.map.show({
       state: this.state, track, place: this.frame.place, heading: this.frame.heading, truth: this.truth,
-      showTruth: $("truth").checked, enlarge: +$("enlarge").value,
+      showTruth: $("truth").checked, showCandidates: $("candidates").checked, enlarge: +$("enlarge").value,
     });
     this.facts();
   }
@@ -195,14 +195,15 @@ export class SessionView {
       if (error != null) rows.push(["Error", `${error.toFixed(3)} m`]);
       rows.push(["Rotation ±", `${(1e3 * state.rotation_std_rad).toFixed(2)} mrad`]);
       rows.push(["Anchors", `${state.anchors.filter((a) => a.located).length} of ${state.anchors.length} located`]);
-      rows.push(["Hypotheses", String(state.hypotheses)]);
+      rows.push(["Hypotheses", state.candidates.length > 1
+        ? `${state.hypotheses}, the likeliest ${percent(state.candidates[0].weight)}` : String(state.hypotheses)]);
     }
     $("facts").replaceChildren(...rows.flatMap(([name, value]) => [text("dt", name), text("dd", value)]));
     $("walls").tBodies[0].replaceChildren(...(state?.walls ?? []).map((wall) => {
       const row = document.createElement("tr"), c = wall.covariance_m2;
       const bearing = (180 / Math.PI) * (Math.atan2(wall.vrp_m[1], wall.vrp_m[0]) + this.frame.heading);
       row.append(text("td", wall.id), text("td", (norm(wall.vrp_m) / 2).toFixed(2)), text("td", (Math.round(10 * bearing) / 10 + 0).toFixed(1)),
-        text("td", (0.5 * Math.sqrt(c[0][0] + c[1][1])).toFixed(2)));
+        text("td", (0.5 * Math.sqrt(c[0][0] + c[1][1])).toFixed(2)), text("td", percent(wall.existence)));
       return row;
     }));
   }
@@ -223,6 +224,10 @@ export class SessionView {
     for (const plot of Object.values(this.plots)) plot.restyle();
     if (this.columns) this.changed();
   }
+}
+
+function percent(share) {
+  return `${Math.floor(100 * share + 1e-9)} %`;
 }
 
 function text(tag, content) {

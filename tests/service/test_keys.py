@@ -31,29 +31,53 @@ def _as(key: str) -> dict[str, str]:
 
 
 def test_a_key_opens_its_own_sessions_alone(
-    keys: KeyRing, client: TestClient, make_request: Callable[..., Any], epochs_request: Callable[..., Any]
+    keys: KeyRing,
+    client: TestClient,
+    make_request: Callable[..., Any],
+    sweep_request: Callable[..., Any],
+    epochs_request: Callable[..., Any],
 ) -> None:
     """In every route a session of another key is as unknown as one that never was."""
     ann, bob = keys.create("ann"), keys.create("bob")
     url = client.post("/v1/sessions", json=make_request(), headers=_as(ann)).headers["Location"]
-    routes = [
-        ("GET", url, None),
-        ("DELETE", url, None),
-        ("POST", f"{url}/sweeps", {"sweep": 0}),
-        ("POST", f"{url}/epochs", epochs_request(0, 1)),
-        ("PUT", f"{url}/truth", {}),
-        *(("GET", f"{url}/{leaf}", None) for leaf in _LEAVES),
-    ]
-    for method, route, body in routes:
-        foreign = client.request(method, route, json=body, headers=_as(bob))
-        never = client.request(method, route.replace(url[-32:], "0" * 32), json=body, headers=_as(bob))
-        assert (foreign.status_code, never.status_code) == (404, 404), route
-        assert foreign.json()["detail"].replace(url[-32:], "0" * 32) == never.json()["detail"]
+    assert client.post(f"{url}/sweeps", json=sweep_request(), headers=_as(ann)).status_code == 200
+    posted = client.post(f"{url}/epochs", json=epochs_request(0, 1), headers=_as(ann))
+    assert posted.status_code == 200
+    asked = 0
+    for request in _requests_of_sessions(client.get("/openapi.json").json(), url[-32:]):
+        never = {**request, "url": request["url"].replace(url[-32:], "0" * 32)}
+        answers = [
+            client.request(**{**one, "headers": _as(bob) | one.get("headers", {})})
+            for one in (request, never)
+        ]
+        assert [answer.status_code for answer in answers] == [404, 404], request
+        details = [answer.json()["detail"].replace(url[-32:], "0" * 32) for answer in answers]
+        assert details[0] == details[1]
+        asked += 1
+    assert asked >= 18
+    assert client.get(f"{url}/state", headers=_as(ann)).status_code == 200
     assert client.get("/v1/sessions", headers=_as(bob)).json()["sessions"] == []
     assert client.get(url, headers=_as(ann)).status_code == 200
 
 
-_LEAVES = ("state", "trajectory", "map", "map.svg", "map.png", "export", "measurements", "truth", "events")
+def _requests_of_sessions(document: dict[str, Any], session: str) -> Iterator[dict[str, Any]]:
+    """A valid request of each type of body for each operation on a session that the interface names."""
+    schemas = document["components"]["schemas"]
+    for path, operations in document["paths"].items():
+        if "{session_id}" not in path:
+            continue
+        for method, operation in operations.items():
+            contents = operation.get("requestBody", {}).get("content", {"": {}})
+            wanted = {"noise_variance"} & {entry["name"] for entry in operation.get("parameters", ())}
+            for kind, content in contents.items():
+                request: dict[str, Any] = {"method": method, "url": path.replace("{session_id}", session)}
+                if kind == "application/json":
+                    schema = schemas[content["schema"]["$ref"].rsplit("/", 1)[1]]
+                    request["json"] = schema.get("examples", [{}])[0]
+                elif kind:
+                    request |= {"content": b"rubbish", "headers": {"Content-Type": kind}}
+                    request["params"] = dict.fromkeys(wanted, 1)
+                yield request
 
 
 def test_without_a_valid_key_there_is_no_entry(keys: KeyRing, client: TestClient) -> None:

@@ -103,7 +103,7 @@ def test_the_curl_examples_run(server: Server, tmp_path: Path) -> None:
     """Every curl command of the service's page succeeds, in the order in which they stand."""
     text = (ROOT / "docs" / "service.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```curl\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     session = ""
     for block in blocks:
         for command in re.split(r"\n(?=curl )", block.strip()):
