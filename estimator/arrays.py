@@ -6,7 +6,11 @@ plane, its axis 90 degrees counter-clockwise of its boresight, its phase centre 
 the middle; element ``m`` of a wave *arriving from* (or leaving towards) azimuth
 ``az`` and elevation ``el`` has the phase ``+2 pi s (m - (M-1)/2) cos(el) sin(az - boresight)``
 with ``s`` the spacing in wavelengths. A uniform planar array (UPA) has such rows one above the
-other, the lowest first; row ``r`` adds ``+2 pi s_r (r - (R-1)/2) sin(el)``.
+other, the lowest first; row ``r`` adds ``+2 pi s_r (r - (R-1)/2) sin(el)``. Or it is *lying*: its
+rows are one ahead of the other, and row ``r`` adds ``+2 pi s_r (r - (R-1)/2) cos(el) cos(az - boresight)``.
+
+A ULA and an upright UPA do not tell front from back; a lying UPA tells all azimuths apart, and of an
+elevation all but its sign.
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import ConfigurationError
 
-__all__ = ["BeamSet", "UniformLinearArray", "UniformPlanarArray", "element_gain"]
+__all__ = ["AntennaArray", "BeamSet", "UniformLinearArray", "UniformPlanarArray", "element_gain"]
 
 _ELEMENT_WIDTH_RAD = np.deg2rad(65.0)
 _ELEMENT_FLOOR_DB = 30.0
@@ -76,17 +80,36 @@ class UniformLinearArray:
                 f"spacing_wavelengths: expected a positive number, got {self.spacing_wavelengths}"
             )
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of elements along each axis."""
+        return (self.elements,)
+
+    @property
+    def spacings(self) -> tuple[float, ...]:
+        """Distance between neighbours along each axis, wavelengths."""
+        return (self.spacing_wavelengths,)
+
+    @property
+    def tells_azimuth(self) -> bool:
+        """Whether each azimuth has a response of its own: no, front and back look alike."""
+        return False
+
+    def projection(self, azimuth_rad: ArrayLike, elevation_rad: ArrayLike = 0.0) -> NDArray[np.float64]:
+        """Components of the direction along the axes, shape ``broadcast(az, el).shape + (1,)``."""
+        sine = np.sin(np.asarray(azimuth_rad, dtype=np.float64) - self.boresight_rad)
+        return np.asarray((np.cos(elevation_rad) * sine)[..., None])
+
     def steering(self, azimuth_rad: ArrayLike, elevation_rad: ArrayLike = 0.0) -> NDArray[np.complex128]:
         """Steering vectors (unit-modulus entries), shape ``broadcast(az, el).shape + (elements,)``."""
-        azimuth = np.asarray(azimuth_rad, dtype=np.float64)
         index = np.arange(self.elements) - 0.5 * (self.elements - 1)
-        projection = np.cos(elevation_rad) * np.sin(azimuth - self.boresight_rad)
-        return np.asarray(np.exp(2j * np.pi * self.spacing_wavelengths * projection[..., None] * index))
+        projection = self.projection(azimuth_rad, elevation_rad)
+        return np.asarray(np.exp(2j * np.pi * self.spacing_wavelengths * projection * index))
 
 
 @dataclass(frozen=True)
 class UniformPlanarArray:
-    """An upright UPA of isotropic elements: rows of a horizontal ULA, one above the other.
+    """A UPA of isotropic elements: rows of a horizontal ULA, one above or ahead of the other.
 
     Parameters
     ----------
@@ -95,7 +118,9 @@ class UniformPlanarArray:
     row_spacing_wavelengths, spacing_wavelengths : float
         Distance between neighbours in a column and in a row, wavelengths.
     boresight_rad : float
-        Azimuth of the broadside direction, radians.
+        Azimuth of the broadside direction of the rows, radians.
+    lying : bool
+        Whether the rows are one ahead of the other rather than one above the other.
     """
 
     rows: int = 1
@@ -103,6 +128,7 @@ class UniformPlanarArray:
     row_spacing_wavelengths: float = 0.5
     spacing_wavelengths: float = 0.5
     boresight_rad: float = 0.0
+    lying: bool = False
 
     def __post_init__(self) -> None:
         if self.rows < 1:
@@ -121,14 +147,40 @@ class UniformPlanarArray:
         """Elements of all rows."""
         return self.rows * self.columns
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of elements along each axis: (rows, columns)."""
+        return (self.rows, self.columns)
+
+    @property
+    def spacings(self) -> tuple[float, ...]:
+        """Distance between neighbours along each axis, wavelengths."""
+        return (self.row_spacing_wavelengths, self.spacing_wavelengths)
+
+    @property
+    def tells_azimuth(self) -> bool:
+        """Whether each azimuth has a response of its own."""
+        return self.lying and min(self.shape) > 1 and max(self.spacings) <= 0.5
+
+    def projection(self, azimuth_rad: ArrayLike, elevation_rad: ArrayLike = 0.0) -> NDArray[np.float64]:
+        """Components of the direction from row to row and along the rows, shape ``(..., 2)``."""
+        along = self._row().projection(azimuth_rad, elevation_rad)[..., 0]
+        offset = np.asarray(azimuth_rad, dtype=np.float64) - self.boresight_rad
+        rise = np.sin(np.asarray(elevation_rad, dtype=np.float64))
+        across = np.cos(elevation_rad) * np.cos(offset) if self.lying else np.broadcast_to(rise, along.shape)
+        return np.stack([across, along], axis=-1)
+
     def steering(self, azimuth_rad: ArrayLike, elevation_rad: ArrayLike = 0.0) -> NDArray[np.complex128]:
-        """Steering vectors, row by row from the lowest, shape ``broadcast(az, el).shape + (elements,)``."""
+        """Steering vectors, row by row from the first, shape ``broadcast(az, el).shape + (elements,)``."""
         row = self._row().steering(azimuth_rad, elevation_rad)
-        height = np.arange(self.rows) - 0.5 * (self.rows - 1)
-        rise = np.sin(np.asarray(elevation_rad, dtype=np.float64))[..., None]
-        column = np.exp(2j * np.pi * self.row_spacing_wavelengths * rise * height)
+        number = np.arange(self.rows) - 0.5 * (self.rows - 1)
+        across = self.projection(azimuth_rad, elevation_rad)[..., :1]
+        column = np.exp(2j * np.pi * self.row_spacing_wavelengths * across * number)
         whole = column[..., :, None] * row[..., None, :]
         return np.asarray(whole.reshape(*row.shape[:-1], self.elements))
+
+
+AntennaArray = UniformLinearArray | UniformPlanarArray
 
 
 @dataclass(frozen=True)

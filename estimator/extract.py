@@ -3,6 +3,10 @@
 All channel frequency responses go through NOMP (:mod:`estimator.channel.nomp`), the beam
 sweep at the start through the search for flashes (:mod:`estimator.sensing.flash`). The dataset's
 paths and truth are not opened.
+
+Where the agent has an array, delays and directions are estimated together. Directions of arrival
+become part of the measurements if the array tells all azimuths apart (a lying planar array does): of a
+linear array, one of front and back would be wrong, and a map does not survive that.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from estimator.arrays import BeamSet
+from estimator.arrays import AntennaArray, BeamSet, UniformLinearArray, UniformPlanarArray
 from estimator.channel.nomp import DelayEstimate, NompConfig, NompPlan
 from estimator.dataset import Dataset
 from estimator.errors import ConfigurationError, FileFormatError, InputError
@@ -25,9 +29,10 @@ from estimator.sensing.flash import FlashConfig, find_flashes, flash_walls
 from estimator.threads import one_blas_thread
 from estimator.waveform import OfdmGrid, frequency_response
 
-__all__ = ["ExtractConfig", "Progress", "extract", "extract_epochs", "sense_walls"]
+__all__ = ["ExtractConfig", "Progress", "extract", "extract_epochs", "paths_of", "sense_walls"]
 
 Complex = NDArray[np.complex128]
+_LEAST_BATCH = 8  # channels of many antennas are long enough by themselves
 Progress = Callable[[int, int, str], None]
 """Called with (channels done, channels in all, what is being done)."""
 
@@ -102,49 +107,54 @@ def extract(
 def extract_epochs(
     dataset: Dataset, config: NompConfig | None = None, batch: int = 64, progress: Progress | None = None
 ) -> tuple[Epoch, ...]:
-    """Delays of all anchors in all epochs, from the agent's first antenna.
+    """Delays of all anchors in all epochs, and directions of arrival where the agent's array tells them.
 
-    Parameters and errors are those of :func:`extract`.
+    Parameters and errors are those of :func:`extract`. Where the manifest describes no array, the
+    channels of the agent's first antenna are used.
     """
     radio = _section(dataset.manifest, "radio")
-    plan = NompPlan(_grid(radio, "radio"), config)
+    array = _agent_array(radio)
+    plan = NompPlan(_grid(radio, "radio"), config, array)
+    antennas = 1 if array is None else array.elements
+    heading_held = radio.get("agent_array", {}).get("orientation", "fixed") == "fixed"
+    batch = max(min(batch, _LEAST_BATCH), batch // antennas)
     noise_variance = float(_entry(radio, "noise_variance", "radio"))
     anchors = len(_entry(dataset.manifest, "anchors", "manifest"))
     total = int(_entry(dataset.manifest, "epochs", "manifest")) * anchors
     epochs: list[Epoch] = []
     for shard in dataset.shards("passive"):
-        cfr = _channels(shard, plan.grid)
-        if cfr.shape[1:] != (anchors, plan.grid.tones):
+        cfr = _channels(shard, plan.grid, antennas)
+        if cfr.shape[1:] != (anchors, antennas, plan.grid.tones):
             raise FileFormatError(
-                f"{dataset.path}: expected channels of {anchors} anchors and {plan.grid.tones} tones, "
-                f"as the manifest says, got {cfr.shape[1]} and {cfr.shape[2]}"
+                f"{dataset.path}: expected channels of {anchors} anchors and {plan.grid.tones} tones"
+                + (f" at {antennas} antennas" if array is not None else "")
+                + f", as the manifest says, got {cfr.shape[1]} and {cfr.shape[3]}"
+                + (f" at {cfr.shape[2]}" if array is not None else "")
             )
         estimates: list[DelayEstimate] = []
-        rows = cfr.reshape(-1, plan.grid.tones)
+        rows = cfr.reshape(-1, *((plan.grid.tones,) if array is None else cfr.shape[2:]))
         for start in range(0, len(rows), batch):
             estimates += plan.estimate(rows[start : start + batch], noise_variance)
             if progress is not None:
                 progress(len(epochs) * anchors + len(estimates), total, "estimating delays")
-        epochs += _epochs(shard, estimates, anchors)
+        epochs += _epochs(shard, [paths_of(found, array) for found in estimates], anchors, heading_held)
     if not epochs:
         raise FileFormatError(f"{dataset.path}: expected passive channels, the manifest lists none")
     return tuple(epochs)
 
 
-def _channels(shard: xr.Dataset, grid: OfdmGrid) -> Complex:
-    """CFRs (epoch, anchor, tone) of the first antenna; from impulse responses if it holds no others.
+def _channels(shard: xr.Dataset, grid: OfdmGrid, antennas: int) -> Complex:
+    """CFRs (epoch, anchor, antenna, tone); from impulse responses if it holds no others.
 
-    Where there are several snapshots, or anchors with arrays, it is the first of those, too.
+    Where there are several snapshots, or anchors with arrays, they are those of the first.
     """
     links = ("epoch", "anchor", "antenna")
-    first = shard.isel({axis: 0 for axis in ("snapshot", "anchor_antenna") if axis in shard.dims})
-    first = first.isel(antenna=slice(1)) if "antenna" in first.dims else first
+    used = shard.isel({axis: 0 for axis in ("snapshot", "anchor_antenna") if axis in shard.dims})
+    used = used.isel(antenna=slice(1)) if antennas == 1 and "antenna" in used.dims else used
     if "cir_re" in shard and "cfr_re" not in shard:
-        cir = _complex(first, "cir", "passive", (*links, "tap"))
-        if cir.shape[-1] == grid.tones:
-            return frequency_response(cir[:, :, 0, :], grid)
-        return cir[:, :, 0, :]
-    return _complex(first, "cfr", "passive", (*links, "tone"))[:, :, 0, :]
+        cir = _complex(used, "cir", "passive", (*links, "tap"))
+        return frequency_response(cir, grid) if cir.shape[-1] == grid.tones else cir
+    return _complex(used, "cfr", "passive", (*links, "tone"))
 
 
 @one_blas_thread()
@@ -179,15 +189,29 @@ def sense_walls(dataset: Dataset, config: FlashConfig | None = None) -> tuple[Ga
     return ()
 
 
-def _epochs(shard: xr.Dataset, estimates: list[DelayEstimate], anchors: int) -> Iterator[Epoch]:
-    """Epochs of a shard from the estimates of its channels, anchor by anchor within an epoch."""
+def paths_of(estimate: DelayEstimate, array: AntennaArray | None = None) -> AnchorPaths:
+    """The measurements that an estimate is: delays, gains, and azimuths if the array tells all apart.
+
+    Parameters
+    ----------
+    estimate : DelayEstimate
+        Paths of one channel (of one snapshot).
+    array : AntennaArray, optional
+        The agent's antennas, in its axes.
+    """
+    std, gain_db = np.sqrt(estimate.variance_s2), 20.0 * np.log10(np.abs(estimate.gain))
+    if array is None or estimate.directions is None or not array.tells_azimuth:
+        return AnchorPaths(estimate.delay_s, std, gain_db)
+    found = estimate.directions
+    return AnchorPaths(estimate.delay_s, std, gain_db, found.azimuth_rad, found.azimuth_std_rad)
+
+
+def _epochs(shard: xr.Dataset, paths: list[AnchorPaths], anchors: int, heading_held: bool) -> Iterator[Epoch]:
+    """Epochs of a shard from the paths in its channels, anchor by anchor within an epoch."""
     times = shard["time_s"].values
     for i, index in enumerate(shard["epoch"].values):
-        paths = tuple(
-            AnchorPaths(e.delay_s, np.sqrt(e.variance_s2), 20.0 * np.log10(np.abs(e.gain)))
-            for e in estimates[i * anchors : (i + 1) * anchors]
-        )
-        yield Epoch(int(index), float(times[i]), paths)
+        heard = tuple(paths[i * anchors : (i + 1) * anchors])
+        yield Epoch(int(index), float(times[i]), heard, heading_held=heading_held)
 
 
 def _entry(section: Mapping[str, Any], key: str, name: str) -> Any:
@@ -213,6 +237,22 @@ def _grid(section: Mapping[str, Any], name: str) -> OfdmGrid:
         comb=int(_entry(section, "comb", name)),
         symbols=int(_entry(section, "symbols", name)),
     )
+
+
+def _agent_array(radio: Mapping[str, Any]) -> AntennaArray | None:
+    """The agent's array, if the manifest describes one with more than one antenna side by side."""
+    if "agent_array" not in radio:
+        return None
+    section = _section(radio, "agent_array")
+    columns, rows = int(_entry(section, "elements", "radio.agent_array")), int(section.get("rows", 1))
+    spacing = float(_entry(section, "spacing_wavelengths", "radio.agent_array"))
+    boresight = float(_entry(section, "boresight_rad", "radio.agent_array"))
+    if columns == 1:
+        return None
+    if rows == 1:
+        return UniformLinearArray(columns, spacing, boresight)
+    row_spacing, lying = float(section.get("row_spacing_wavelengths", 0.5)), bool(section.get("lying", False))
+    return UniformPlanarArray(rows, columns, row_spacing, spacing, boresight, lying)
 
 
 def _beams(section: Mapping[str, Any]) -> BeamSet:

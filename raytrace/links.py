@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -71,9 +72,13 @@ class AnchorArray(Part):
 
 
 class AgentArray(AnchorArray):
-    """The agent's receiving array, upright, relative to its heading; fields as those of anchors."""
+    """The agent's receiving array relative to its heading; fields as those of anchors.
+
+    It is upright, or ``lying``: the rows one ahead of the other, which tells all azimuths apart.
+    """
 
     boresight_deg: Finite = 0.0
+    lying: bool = added(False)
 
     @property
     def boresight_rad(self) -> float:
@@ -82,7 +87,10 @@ class AgentArray(AnchorArray):
 
     def array(self) -> UniformLinearArray | UniformPlanarArray:
         """The array in the agent's frame."""
-        return self.facing(self.boresight_rad)
+        array = self.facing(self.boresight_rad)
+        if isinstance(array, UniformPlanarArray):
+            return replace(array, lying=self.lying)
+        return array
 
 
 class _Signal(Part):

@@ -53,6 +53,7 @@ def head(plan: FloorPlan, seed: int, output: Output, llvm: str) -> dict[str, Any
                 "spacing_wavelengths": agent_array.spacing_wavelengths,
                 "boresight_rad": agent_array.boresight_rad,
                 **agent_array.model_dump(exclude={"elements", "spacing_wavelengths", "boresight_deg"}),
+                **({} if plan.agent.orientation == "fixed" else {"orientation": plan.agent.orientation}),
             },
         },
         "echo": {

@@ -1,15 +1,17 @@
-"""Cramer-Rao bounds of path delays with unknown complex gains.
+"""Cramer-Rao bounds of delays and directions with unknown complex gains.
 
-For the model of :mod:`estimator.channel.model` with circular Gaussian noise of variance
-``s2`` per tone, eliminating the gains from the Fisher information of delays and gains
-leaves, for delays ``x`` in turns,
+For the atoms of :mod:`estimator.channel.atoms` with circular Gaussian noise of variance
+``s2`` per tone and antenna, eliminating the gains from the Fisher information of points and gains
+leaves, for points ``x`` in turns,
 
-    F = (2 / s2) Re( conj(g) g^T  o  (-D'' - D'^T D^-1 D') ),
+    F = (2 / s2) Re( conj(g) g^T  o  (-G'' - G'^T G^-1 G') ),
 
-``o`` the elementwise product and ``D, D', D''`` the kernel and its derivatives at all
-differences of delays. (P. Stoica and A. Nehorai, "MUSIC, maximum likelihood, and
+``o`` the elementwise product and ``G, G', G''`` the inner products of the atoms and their derivatives.
+(P. Stoica and A. Nehorai, "MUSIC, maximum likelihood, and
 Cramer-Rao bound", IEEE Trans. ASSP 37 (1989), equation (4.1), with closed-form inner products.)
-For one path it is (16) of the paper named in :mod:`estimator.geometry`, see :func:`range_variance`.
+For the delay of one path it is (16) of the paper named in :mod:`estimator.geometry`, see
+:func:`range_variance`; delays and directions of a path alone do not disturb each other, those of
+several paths do.
 """
 
 from __future__ import annotations
@@ -17,11 +19,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimator.channel.model import delay_information, dirichlet
+from estimator.arrays import AntennaArray
+from estimator.channel.atoms import SeparableAtoms
 from estimator.errors import InputError
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
 
-__all__ = ["delay_variance", "joint_delay_variance", "range_variance"]
+__all__ = [
+    "delay_direction_covariance",
+    "delay_variance",
+    "joint_delay_variance",
+    "point_covariance",
+    "range_variance",
+]
 
 Real = NDArray[np.float64]
 
@@ -89,12 +98,91 @@ def joint_delay_variance(
     InputError
         If two delays of a channel coincide, so that the bound does not exist.
     """
-    turns = np.asarray(delay_s, dtype=np.float64) * grid.tone_spacing_hz
+    delay = np.asarray(delay_s, dtype=np.float64)
     g = np.asarray(gain, dtype=np.complex128)
-    differences = turns[..., :, None] - turns[..., None, :]
+    points = (delay * grid.tone_spacing_hz)[..., None]
+    covariance = point_covariance(SeparableAtoms(grid.tones), points, g[..., None, :], noise_variance)
+    return np.asarray(covariance[..., 0, 0] / grid.tone_spacing_hz**2)
+
+
+def point_covariance(
+    atoms: SeparableAtoms, points: Real, gain: NDArray[np.complex128], noise_variance: ArrayLike
+) -> Real:
+    """Bounds on points estimated together, their gains unknown.
+
+    Parameters
+    ----------
+    atoms : SeparableAtoms
+        The atoms.
+    points : ndarray, shape (..., K, D)
+        Points in turns, all different.
+    gain : ndarray of complex128, shape (..., S, K)
+        Gains in S snapshots.
+    noise_variance : array_like, shape (...)
+        Noise variance per tone and antenna.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., K, D, D)
+        Covariance of the coordinates of each point, square turns.
+
+    Raises
+    ------
+    InputError
+        If two points of a channel coincide, so that the bound does not exist.
+    """
+    *batch, paths, axes = points.shape
+    kernels = atoms.kernels(points[..., :, None, :] - points[..., None, :, :])
     try:
-        inverse = np.linalg.inv(delay_information(*dirichlet(differences, grid.tones), g))
+        inverse = np.linalg.inv(kernels.information(gain))
     except np.linalg.LinAlgError as error:
         raise InputError("delay_s: expected delays that all differ, got coinciding ones") from error
-    scale = np.asarray(noise_variance, dtype=np.float64)[..., None] / (2.0 * grid.tone_spacing_hz**2)
-    return np.asarray(scale * np.diagonal(inverse, axis1=-2, axis2=-1))
+    blocks = inverse.reshape(*batch, axes, paths, axes, paths)
+    own = np.moveaxis(np.diagonal(blocks, axis1=-3, axis2=-1), -1, -3)
+    scale = 0.5 * np.asarray(noise_variance, dtype=np.float64)[..., None, None, None]
+    return np.asarray(scale * own)
+
+
+def delay_direction_covariance(
+    grid: OfdmGrid,
+    array: AntennaArray,
+    delay_s: ArrayLike,
+    projection: ArrayLike,
+    gain: ArrayLike,
+    noise_variance: ArrayLike,
+) -> Real:
+    """Bounds on delays and directions of several paths estimated together.
+
+    Parameters
+    ----------
+    grid : OfdmGrid
+        The tones.
+    array : AntennaArray
+        The array, with D - 1 axes.
+    delay_s : array_like, shape (..., K)
+        Delays, seconds.
+    projection : array_like, shape (..., K, D - 1)
+        Components of the directions along the array's axes (``array.projection``).
+    gain : array_like of complex, shape (..., K) or (..., S, K)
+        Complex gains of one snapshot or of S; give the axis S if the paths have leading axes.
+    noise_variance : array_like, shape (...)
+        Noise variance per tone and antenna.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., K, D, D)
+        Covariance of (delay, components) of each path: seconds, and sines.
+
+    Raises
+    ------
+    InputError
+        If two paths coincide, so that the bound does not exist.
+    """
+    delay = np.asarray(delay_s, dtype=np.float64)
+    g = np.asarray(gain, dtype=np.complex128)
+    g = g[..., None, :] if g.ndim == delay.ndim else g
+    scale = np.array([grid.tone_spacing_hz] + [-spacing for spacing in array.spacings])
+    direction = np.asarray(projection, dtype=np.float64)
+    points = np.concatenate([delay[..., None], direction], axis=-1) * scale
+    atoms = SeparableAtoms(grid.tones, array.shape)
+    return np.asarray(point_covariance(atoms, points, g, noise_variance) / np.outer(scale, scale))

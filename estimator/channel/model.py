@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from estimator.errors import InputError
 from estimator.waveform import OfdmGrid
 
-__all__ = ["ToneBlocks", "ToneCorrelator", "delay_atoms", "delay_information", "dirichlet"]
+__all__ = ["ToneBlocks", "ToneCorrelator", "delay_atoms", "dirichlet"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -94,38 +94,13 @@ def dirichlet(turns: ArrayLike, tones: int) -> tuple[Real, Real, Real]:
     return np.asarray(kernel), np.asarray(slope), np.asarray(curvature)
 
 
-def delay_information(kernel: Real, slope: Real, curvature: Real, gain: Complex) -> Real:
-    """Fisher information of K delays once their complex gains are eliminated, for unit noise.
-
-    Parameters
-    ----------
-    kernel, slope, curvature : ndarray, shape (..., K, K)
-        The Dirichlet kernel and its derivatives at ``x_k - x_l``.
-    gain : ndarray of complex128, shape (..., K)
-        Gains.
-
-    Returns
-    -------
-    ndarray of float64, shape (..., K, K)
-        ``Re(conj(g_k) g_l (-D'' - D'^T D^-1 D')_kl)``; twice this over the noise variance
-        is the information on the delays in turns.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If delays coincide, so that ``kernel`` is singular.
-    """
-    projected = -curvature - np.swapaxes(slope, -1, -2) @ np.linalg.solve(kernel, slope)
-    return np.asarray(np.real(np.conj(gain)[..., :, None] * gain[..., None, :]) * projected)
-
-
 @dataclass(frozen=True, eq=False)
 class ToneBlocks:
     """CFRs prepared by :meth:`ToneCorrelator.split`.
 
     Parameters
     ----------
-    values : ndarray of complex128, shape (C, 3 * blocks, 32)
+    values : ndarray of complex128, shape (C, ..., 3 * blocks, 32)
         The tones of each CFR weighted with ``(j 2 pi n')^m``, m = 0, 1, 2, in blocks of 32.
     """
 
@@ -160,10 +135,10 @@ class ToneCorrelator:
         self._inner = 2j * np.pi * np.arange(_BLOCK)
 
     def split(self, cfr: Complex) -> ToneBlocks:
-        """Prepare CFRs, shape (C, tones), for :meth:`correlate`."""
-        padded = np.zeros((len(cfr), 3, self._blocks * _BLOCK), dtype=np.complex128)
-        padded[:, :, : self.tones] = cfr[:, None, :] * self._weights
-        return ToneBlocks(padded.reshape(len(cfr), 3 * self._blocks, _BLOCK))
+        """Prepare CFRs, shape (C, ..., tones), for :meth:`correlate`."""
+        padded = np.zeros((*cfr.shape[:-1], 3, self._blocks * _BLOCK), dtype=np.complex128)
+        padded[..., : self.tones] = cfr[..., None, :] * self._weights
+        return ToneBlocks(padded.reshape(*cfr.shape[:-1], 3 * self._blocks, _BLOCK))
 
     def correlate(self, blocks: ToneBlocks, turns: Real) -> tuple[Complex, Complex, Complex]:
         """Correlation ``z(x) = sum_n y_n exp(j 2 pi n' x)`` and its first two derivatives in ``x``.
@@ -171,19 +146,21 @@ class ToneCorrelator:
         Parameters
         ----------
         blocks : ToneBlocks
-            C CFRs.
+            C channels of one CFR, or of several (...): antennas, snapshots.
         turns : ndarray, shape (C, K)
-            Delays in turns, K of their own for each CFR.
+            Delays in turns, K of their own for each channel.
 
         Returns
         -------
-        z, slope, curvature : ndarray of complex128, shape (C, K)
+        z, slope, curvature : ndarray of complex128, shape (C, ..., K)
         """
-        inner = np.exp(self._inner[:, None] * turns[:, None, :])
+        lanes = blocks.values.shape[1:-2]
+        own = (len(turns), *(1,) * len(lanes))
+        inner = np.exp(self._inner[:, None] * turns[:, None, :]).reshape(*own, _BLOCK, -1)
         outer = np.exp(self._outer[:, None] * turns[:, None, :])
-        shape = (len(turns), 3, self._blocks, turns.shape[1])
+        shape = (len(turns), *lanes, 3, self._blocks, turns.shape[1])
         partial = (blocks.values @ inner).reshape(shape)
-        sums = np.einsum("cmpk,cpk->mck", partial, outer)
+        sums = np.einsum("c...mpk,cpk->mc...k", partial, outer)
         return sums[0], sums[1], sums[2]
 
     def synthesise(self, turns: Real, gain: Complex) -> Complex:
@@ -193,14 +170,15 @@ class ToneCorrelator:
         ----------
         turns : ndarray, shape (C, K)
             Delays in turns.
-        gain : ndarray of complex128, shape (C, K)
-            Gains.
+        gain : ndarray of complex128, shape (C, ..., K)
+            Gains, of each of a channel's CFRs.
 
         Returns
         -------
-        ndarray of complex128, shape (C, tones)
+        ndarray of complex128, shape (C, ..., tones)
         """
-        outer = np.exp(-self._outer[:, None] * turns[:, None, :]) * gain[:, None, :]
-        inner = np.exp(-self._inner * turns[:, :, None])
-        padded = (outer @ inner).reshape(len(turns), self._blocks * _BLOCK)
-        return np.asarray(padded[:, : self.tones])
+        own = (len(turns), *(1,) * (gain.ndim - 2))
+        outer = np.exp(-self._outer[:, None] * turns[:, None, :]).reshape(*own, self._blocks, -1)
+        inner = np.exp(-self._inner * turns[:, :, None]).reshape(*own, -1, _BLOCK)
+        padded = ((outer * gain[..., None, :]) @ inner).reshape(*gain.shape[:-1], self._blocks * _BLOCK)
+        return np.asarray(padded[..., : self.tones])

@@ -1,31 +1,33 @@
-"""Newtonised orthogonal matching pursuit (NOMP) for path delays, batched over channels.
+"""Newtonised orthogonal matching pursuit (NOMP) for paths, batched over channels.
 
 After B. Mamandipoor, D. Ramasamy and U. Madhow, "Newtonized orthogonal matching pursuit:
 frequency estimation over the continuum", IEEE Trans. Signal Processing 64 (2016), for the
-delays of :mod:`estimator.channel.model`. A channel's paths are found one by one:
+separable atoms of :mod:`estimator.channel.atoms`: delays, and with an antenna array the direction's
+components along its axes; with several snapshots, of which each path has the same delay and
+direction and a gain of its own, all are used together. A channel's paths are found one by one:
 
 1. *detect* the peak of the residual's correlation on an oversampled grid, by FFT;
-2. *refine* this delay by Newton steps on the residual;
+2. *refine* this point by Newton steps on the residual;
 3. *stop* unless it exceeds the threshold of a constant false-alarm rate
    (:mod:`estimator.channel.detection`) and the dynamic range pursued;
-4. *cycle* through all paths with Newton steps, then *polish* all delays jointly
+4. *cycle* through all paths with Newton steps, then *polish* all points jointly
    (:mod:`estimator.channel.refinement`).
 
 Polishing is an addition to the published algorithm: two paths inside a resolution cell couple
 so strongly that cycling alone leaves a residual, in which further paths would be detected.
 
-Data enter only through correlations at the current delays, and paths interact through the
-Dirichlet kernel, so that a cycle over K paths costs of the order of K^2, not K times
+Data enter only through correlations at the current points, and paths interact through
+Dirichlet kernels, so that a cycle over K paths costs of the order of K^2, not K times
 the number of tones. All channels of a batch advance together: in round k each channel still
 in work has k paths.
 
-*Variance.* Each delay gets the Cramer-Rao bound of all found paths together, with
+*Variance.* Each coordinate gets the Cramer-Rao bound of all found paths together, with
 unknown gains, and two terms for what was not resolved, both from the level of the residual around
 the path. Energy there acts on the path like noise of that level. And where it exceeds the noise, there
 are more images than were told apart, some of them inside the path's own resolution cell: an
 image of relative amplitude ``a`` and distance ``d`` (in cells) displaces the path by about
 ``a d`` and leaves a residual of relative amplitude ``e`` of about ``1.5 a d^2``. An excess ``e`` thus
-tells of displacements of the order of ``sqrt(e)`` cells, which is what is claimed. A floor is added.
+tells of displacements of the order of ``sqrt(e)`` cells, which is what is claimed. Floors are added.
 """
 
 from __future__ import annotations
@@ -34,17 +36,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
-from estimator.channel.bounds import joint_delay_variance
+from estimator.arrays import AntennaArray
+from estimator.channel.atoms import SeparableAtoms
+from estimator.channel.bounds import point_covariance
 from estimator.channel.detection import delay_length, detection_threshold
-from estimator.channel.model import ToneCorrelator
+from estimator.channel.directions import Directions, directions
 from estimator.channel.refinement import Fit, cycle, newton_step, polish, widely_spaced
+from estimator.channel.search import PeakSearch
 from estimator.errors import ConfigurationError, InputError
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
 
-__all__ = ["DelayEstimate", "NompConfig", "NompPlan", "estimate_delays"]
+__all__ = ["DelayEstimate", "NompConfig", "NompPlan", "estimate_delays", "estimate_paths"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -73,6 +77,8 @@ class NompConfig:
         variance grows with their closeness.
     floor_m : float
         Standard deviation added to every path length for what the model leaves out, metres.
+    floor_rad : float
+        The same for directions (their sines against the axes of an array), radians.
     oversampling : int
         Points of the detection grid per resolution cell.
     newton_steps : int
@@ -89,6 +95,7 @@ class NompConfig:
     max_paths: int = 40
     closest_cells: float = 0.1
     floor_m: float = 0.03
+    floor_rad: float = 0.002
     oversampling: int = 4
     newton_steps: int = 3
     cycles: int = 1
@@ -98,7 +105,7 @@ class NompConfig:
     def __post_init__(self) -> None:
         if not 0.0 < self.false_alarm <= 0.5:
             raise ConfigurationError(f"false_alarm: expected a number in (0, 0.5], got {self.false_alarm}")
-        for name in ("dynamic_range_db", "margin_db", "floor_m"):
+        for name in ("dynamic_range_db", "margin_db", "floor_m", "floor_rad"):
             value = getattr(self, name)
             if not 0.0 <= value < np.inf:
                 raise ConfigurationError(f"{name}: expected 0 or a positive number, got {value}")
@@ -112,28 +119,31 @@ class NompConfig:
 
 @dataclass(frozen=True, eq=False)
 class DelayEstimate:
-    """The paths of one CFR, in ascending order of delay.
+    """The paths of one channel, in ascending order of delay.
 
     Parameters
     ----------
     delay_s : ndarray, shape (n,)
         Delays in [0, 1 / tone spacing), seconds.
-    gain : ndarray of complex128, shape (n,)
-        Complex gains, dimensionless.
+    gain : ndarray of complex128, shape (n,), or (S, n) with an axis of snapshots
+        Complex gains at the array's phase centre, dimensionless.
     variance_s2 : ndarray, shape (n,)
         Variances of the delays, square seconds.
+    directions : Directions or None
+        Directions of arrival, in the array's frame, if the channels have an array.
     """
 
     delay_s: Real
     gain: Complex
     variance_s2: Real
+    directions: Directions | None = None
 
     def __len__(self) -> int:
         return int(self.delay_s.size)
 
 
 class NompPlan:
-    """NOMP prepared for one grid of tones: see the head of this module.
+    """NOMP prepared for one grid of tones and one array: see the head of this module.
 
     Parameters
     ----------
@@ -141,31 +151,46 @@ class NompPlan:
         The tones of the CFRs.
     config : NompConfig, optional
         Settings.
+    array : AntennaArray, optional
+        The antennas; by default a single one.
     """
 
-    def __init__(self, grid: OfdmGrid, config: NompConfig | None = None) -> None:
-        self.grid = grid
+    def __init__(
+        self, grid: OfdmGrid, config: NompConfig | None = None, array: AntennaArray | None = None
+    ) -> None:
+        self.grid, self.array = grid, array
         self.config = NompConfig() if config is None else config
-        self.threshold = detection_threshold(self.config.false_alarm, delay_length(grid.tones))
-        self._correlator = ToneCorrelator(grid.tones)
-        self._bins = scipy.fft.next_fast_len(self.config.oversampling * grid.tones)
+        shape, spacings = ((), ()) if array is None else (array.shape, array.spacings)
+        if min(shape, default=2) < 2:
+            raise ConfigurationError(f"array: expected at least 2 elements on each axis, got {shape}")
+        self._atoms = SeparableAtoms(grid.tones, shape)
+        self._search = PeakSearch(grid.tones, shape, spacings, self.config.oversampling)
+        reach = [1.0, *(min(2.0 * spacing, 1.0) for spacing in spacings)]
+        self._lengths = [delay_length(n, turns) for n, turns in zip((grid.tones, *shape), reach, strict=True)]
+        self._scale = np.array([grid.tone_spacing_hz, *(-spacing for spacing in spacings)])  # turns per unit
+
+    def threshold(self, snapshots: int = 1) -> float:
+        """Level that the normalised correlation energy of a path exceeds."""
+        return detection_threshold(self.config.false_alarm, *self._lengths, snapshots=snapshots)
 
     def estimate(self, cfr: ArrayLike, noise_variance: ArrayLike) -> list[DelayEstimate]:
-        """Estimate the paths of a batch of CFRs.
+        """Estimate the paths of a batch of channels.
 
         Batches of about 64 are fastest; larger ones fall out of the processor's caches.
 
         Parameters
         ----------
-        cfr : array_like of complex, shape (C, tones)
-            Channel frequency responses, dimensionless.
+        cfr : array_like of complex, shape (C, [S,] [antennas,] tones)
+            Channel frequency responses, dimensionless: of C channels in S snapshots (without the axis:
+            one), at the plan's antennas (the axis is there if the plan has an array), in the
+            order of ``array.steering``.
         noise_variance : array_like, scalar or shape (C,)
-            Known variance of their noise per tone, positive.
+            Known variance of their noise per tone and antenna, positive.
 
         Returns
         -------
         list of DelayEstimate
-            One per CFR.
+            One per channel.
 
         Raises
         ------
@@ -173,11 +198,15 @@ class NompPlan:
             If shapes do not fit, a CFR is not finite or a variance not positive.
         """
         channels = np.asarray(cfr, dtype=np.complex128)
-        if channels.ndim != 2 or channels.shape[1] != self.grid.tones:
-            raise InputError(f"cfr: expected shape (n, {self.grid.tones}), got {channels.shape}")
+        single = () if self.array is None else (self.array.elements,)
+        tail = (*single, self.grid.tones)
+        snapshots = channels.ndim == len(tail) + 2
+        if channels.shape[1 + snapshots :] != tail or 0 in channels.shape[1:]:
+            wanted = ", ".join(str(size) for size in ("n", *tail))
+            raise InputError(f"cfr: expected shape ({wanted}), got {channels.shape}")
         if not np.all(np.isfinite(channels)):
-            row, tone = np.argwhere(~np.isfinite(channels))[0]
-            value = channels[row, tone]
+            place = np.argwhere(~np.isfinite(channels))[0]
+            value, row, tone = channels[tuple(place)], place[0], place[-1]
             raise InputError(f"cfr: expected finite numbers, got {value} in row {row}, tone {tone}")
         noise = np.asarray(noise_variance, dtype=np.float64)
         if noise.shape not in ((), channels.shape[:1]):
@@ -186,96 +215,125 @@ class NompPlan:
             )
         if not np.all((noise > 0.0) & np.isfinite(noise)):
             raise InputError(f"noise_variance: expected positive numbers, got {noise.min()}")
+        count = channels.shape[1] if snapshots else 1
+        data = channels.reshape(len(channels), count, self._atoms.antennas, self.grid.tones)
         found: dict[int, DelayEstimate] = {}
-        for fit in self._pursue(channels, np.broadcast_to(noise, channels.shape[:1])):
+        for fit in self._pursue(data, np.broadcast_to(noise, channels.shape[:1])):
             for same in self._without_duplicates(fit):
-                polished = polish(self._correlator, same, self.config.final_steps, self.config.closest_cells)
-                found.update(self._report(polished))
-        nothing = DelayEstimate(np.zeros(0), np.zeros(0, dtype=np.complex128), np.zeros(0))
-        return [found.get(i, nothing) for i in range(len(channels))]
+                polished = polish(self._atoms, same, self.config.final_steps, self.config.closest_cells)
+                found.update(self._report(polished, snapshots))
+        return [found[i] if i in found else self._nothing(count, snapshots) for i in range(len(channels))]
 
-    def _pursue(self, channels: Complex, noise: Real) -> Iterator[Fit]:
+    def _pursue(self, data: Complex, noise: Real) -> Iterator[Fit]:
         """Find the paths of all channels, one more in each round; yield those that are done."""
-        tones, config = self.grid.tones, self.config
+        config, (channels, snapshots) = self.config, data.shape[:2]
+        if channels == 0:
+            return
+        threshold = self.threshold(snapshots)
         range_ratio = 10.0 ** (-(config.dynamic_range_db + config.margin_db) / 10.0)
-        none = np.zeros((len(channels), 0))
-        blocks = self._correlator.split(channels)
-        fit = Fit(np.arange(len(channels)), channels, blocks, noise, none, none.astype(np.complex128))
+        points = np.zeros((channels, 0, self._atoms.axes))
+        gains = np.zeros((channels, snapshots, 0), dtype=np.complex128)
+        fit = Fit(np.arange(channels), data, self._atoms.split(data), noise, points, gains)
         for number in range(config.max_paths):
-            turns, gain = self._detect(fit)
-            strongest = np.max(np.abs(fit.gain) ** 2, axis=1, initial=0.0)
-            power = np.abs(gain) ** 2
-            more = (power * tones > self.threshold * fit.noise_variance) & (power > strongest * range_ratio)
+            point, gain = self._detect(fit)
+            strongest = np.max(fit.power, axis=1, initial=0.0)
+            power = np.mean(np.abs(gain) ** 2, axis=1)
+            energy = snapshots * power * self._atoms.energy
+            more = (energy > threshold * fit.noise_variance) & (power > strongest * range_ratio)
             if number > 0 and not np.all(more):
                 yield fit.take(~more)
             if not np.any(more):
                 return
             fit = fit.take(
                 more,
-                np.column_stack([fit.turns, turns])[more],
-                np.column_stack([fit.gain, gain])[more],
+                np.concatenate([fit.points, point[:, None]], axis=1)[more],
+                np.concatenate([fit.gain, gain[..., None]], axis=2)[more],
             )
-            fit = cycle(self._correlator, fit, config.cycles)
-            fit = polish(self._correlator, fit, config.polish_steps, config.closest_cells)
+            fit = cycle(self._atoms, fit, config.cycles)
+            fit = polish(self._atoms, fit, config.polish_steps, config.closest_cells)
         yield fit
 
     def _detect(self, fit: Fit) -> tuple[Real, Complex]:
-        """The strongest delay in each residual and its gain, each of shape (C,)."""
-        residual = fit.residual(self._correlator)
-        spectrum = scipy.fft.ifft(residual, self._bins, axis=1)  # |z| at turns i / bins, scaled
-        peak = np.argmax(spectrum.real**2 + spectrum.imag**2, axis=1)
-        turns = peak[:, None] / self._bins
-        blocks = self._correlator.split(residual)
+        """The strongest point in each residual, shape (C, D), and its gains, (C, S)."""
+        residual = fit.residual(self._atoms)
+        points = self._search.find(residual)[:, None]
+        blocks = self._atoms.split(residual)
         for _ in range(self.config.newton_steps):
-            turns = turns + newton_step(*self._correlator.correlate(blocks, turns), self.grid.tones)
-        z = self._correlator.correlate(blocks, turns)[0]
-        return turns[:, 0], z[:, 0] / self.grid.tones
+            points = points + newton_step(*self._atoms.correlate(blocks, points), self._atoms)
+        z = self._atoms.correlate(blocks, points)[0]
+        return points[:, 0], z[:, :, 0] / self._atoms.energy
 
     def _without_duplicates(self, fit: Fit) -> Iterator[Fit]:
         """Drop paths too close to stronger ones; channels come grouped by what is left."""
-        kept = widely_spaced(fit.turns, fit.gain, self.grid.tones, self.config.closest_cells)
+        kept = widely_spaced(self._atoms, fit, self.config.closest_cells)
         count = np.sum(kept, axis=1)
         for number in np.unique(count):
             rows = count == number
-            mask = kept[rows]
+            chosen = np.nonzero(kept[rows])[1].reshape(-1, number)
             yield fit.take(
                 rows,
-                fit.turns[rows][mask].reshape(-1, number),
-                fit.gain[rows][mask].reshape(-1, number),
+                np.take_along_axis(fit.points[rows], chosen[..., None], axis=1),
+                np.take_along_axis(fit.gain[rows], chosen[:, None], axis=2),
             )
 
-    def _variance(self, fit: Fit) -> Real:
-        """Variances of all delays of a batch, shape (C, K), square seconds."""
-        delay = fit.turns / self.grid.tone_spacing_hz
-        bound = joint_delay_variance(self.grid, delay, fit.gain, fit.noise_variance)
-        around = fit.turns[:, :, None] + _NEIGHBOURHOOD_CELLS / self.grid.tones
-        blocks = self._correlator.split(fit.residual(self._correlator))
-        z = self._correlator.correlate(blocks, around.reshape(len(around), -1))[0]
-        noise = fit.noise_variance[:, None]
-        level = np.mean(np.abs(z.reshape(around.shape)) ** 2, axis=2) / self.grid.tones
-        excess = np.maximum(0.0, level - _SIGNIFICANT_LEVEL * noise) / self.grid.tones
-        unresolved = np.sqrt(excess) / np.abs(fit.gain) * self.grid.resolution_s**2
-        floor = (self.config.floor_m / SPEED_OF_LIGHT_M_S) ** 2
-        return np.asarray(bound * np.maximum(1.0, level / noise) + unresolved + floor)
+    def _covariance(self, fit: Fit) -> Real:
+        """Covariances (C, K, D, D) of delays (s) and components of directions."""
+        atoms, noise = self._atoms, fit.noise_variance[:, None]
+        bound = point_covariance(atoms, fit.points, fit.gain, fit.noise_variance)
+        offset = np.zeros((len(_NEIGHBOURHOOD_CELLS), atoms.axes))
+        offset[:, 0] = _NEIGHBOURHOOD_CELLS / self.grid.tones
+        around = fit.points[:, :, None] + offset
+        z = atoms.correlate(atoms.split(fit.residual(atoms)), around.reshape(len(around), -1, atoms.axes))[0]
+        energy = np.mean(np.abs(z) ** 2, axis=1).reshape(around.shape[:3])
+        level = np.mean(energy, axis=2) / atoms.energy
+        excess = np.maximum(0.0, level - _SIGNIFICANT_LEVEL * noise) / atoms.energy
+        cells2 = np.sqrt(excess / fit.power)
+        floors = np.full(atoms.axes, self.config.floor_rad)
+        floors[0] = self.config.floor_m / SPEED_OF_LIGHT_M_S
+        unit = np.eye(atoms.axes)
+        claimed = bound * np.maximum(1.0, level / noise)[..., None, None]
+        claimed = claimed + cells2[..., None, None] * unit / atoms.sizes**2
+        return np.asarray(claimed / np.outer(self._scale, self._scale) + floors**2 * unit)
 
-    def _report(self, fit: Fit) -> Iterator[tuple[int, DelayEstimate]]:
-        """Estimates by channel: paths in the dynamic range, sorted, delays in the first turn."""
-        variance = self._variance(fit)
-        turns = fit.turns - np.floor(fit.turns)
-        gain = fit.gain
-        if self.grid.tones % 2 == 0:  # half-integer tone numbers: atoms change sign from turn to turn
-            gain = gain * (1.0 - 2.0 * np.mod(np.floor(fit.turns), 2.0))
-        power_db = 20.0 * np.log10(np.abs(gain))
+    def _report(self, fit: Fit, snapshots: bool) -> Iterator[tuple[int, DelayEstimate]]:
+        """Estimates by channel: paths in the dynamic range, sorted, points in the first turn."""
+        covariance = self._covariance(fit)
+        turns = np.floor(fit.points + np.array([0.0] + [0.5] * (self._atoms.axes - 1)))
+        points = fit.points - turns
+        flips = np.sum(turns * (self._atoms.sizes % 2 == 0), axis=-1)  # half-integer numbers: a turn is -1
+        gain = fit.gain * (1.0 - 2.0 * np.mod(flips, 2.0))[:, None]
+        power_db = 10.0 * np.log10(fit.power)
         reported = power_db >= np.max(power_db, axis=1, keepdims=True) - self.config.dynamic_range_db
         for row, index in enumerate(fit.index):
             chosen = np.flatnonzero(reported[row])
-            chosen = chosen[np.argsort(turns[row, chosen], kind="stable")]
-            delay = turns[row, chosen] / self.grid.tone_spacing_hz
-            yield int(index), DelayEstimate(delay, gain[row, chosen], variance[row, chosen])
+            chosen = chosen[np.argsort(points[row, chosen, 0], kind="stable")]
+            value, spread = points[row, chosen] / self._scale, covariance[row, chosen]
+            found = None
+            if self.array is not None:
+                found = directions(self.array, value[:, 1:], spread[:, 1:, 1:])
+            own = gain[row][:, chosen] if snapshots else gain[row, 0, chosen]
+            yield int(index), DelayEstimate(value[:, 0], own, spread[:, 0, 0], found)
+
+    def _nothing(self, snapshots: int, with_axis: bool) -> DelayEstimate:
+        """The estimate of a channel without paths."""
+        none, shape = np.zeros(0), (snapshots, 0) if with_axis else (0,)
+        found = None if self.array is None else Directions(none, none, none, none)
+        return DelayEstimate(none, np.zeros(shape, dtype=np.complex128), none, found)
 
 
 def estimate_delays(
     cfr: ArrayLike, noise_variance: ArrayLike, grid: OfdmGrid, config: NompConfig | None = None
 ) -> list[DelayEstimate]:
-    """Estimate the paths of CFRs in one call; :meth:`NompPlan.estimate` says the rest."""
+    """Estimate the paths of CFRs of single antennas in one call; :meth:`NompPlan.estimate` says the rest."""
     return NompPlan(grid, config).estimate(cfr, noise_variance)
+
+
+def estimate_paths(
+    cfr: ArrayLike,
+    noise_variance: ArrayLike,
+    grid: OfdmGrid,
+    array: AntennaArray,
+    config: NompConfig | None = None,
+) -> list[DelayEstimate]:
+    """Estimate delays and directions of paths in one call; :meth:`NompPlan.estimate` says the rest."""
+    return NompPlan(grid, config, array).estimate(cfr, noise_variance)

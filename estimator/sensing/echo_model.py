@@ -103,7 +103,7 @@ class EchoModel:
     def project(self, data: Complex, turns: Real, azimuth: Real) -> EchoFit:
         """Least squares of the gains, and the score and information of delays and azimuths.
 
-        As in :func:`estimator.channel.model.delay_information`, with one more parameter per atom:
+        As in :func:`estimator.channel.atoms.AtomKernels.information`, with one more parameter per atom:
         inner products of atoms are those of beam patterns times those of delay atoms.
 
         Parameters

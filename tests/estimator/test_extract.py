@@ -285,6 +285,56 @@ def test_several_antennas_are_welcome(make: Callable[..., Dataset]) -> None:
     assert measured.epochs[0].paths[0].gain_db[0] == pytest.approx(-80.0, abs=0.1)
 
 
+@pytest.mark.parametrize("rows", [4, 1])
+def test_directions_of_an_array_are_measured(tmp_path: Path, rows: int) -> None:
+    """Channels of a lying 4 x 4 array give directions that are right and not overclaimed.
+
+    Of a row of four, which cannot tell front from back, no direction is given.
+    """
+    rng = np.random.default_rng(33)
+    changes = {
+        "radio.agent_array.elements": 4,
+        "radio.agent_array.rows": rows,
+        "radio.agent_array.lying": True,
+        "radio.subcarriers": 1024,
+    }
+    plan = load_floorplan("l-room").updated(changes)
+    track = plan.track()[:64:4]
+    paths = image_paths(plan, track, depth=1)
+    grid, noise = plan.radio.grid(), plan.radio.noise_variance()
+    array = plan.radio.agent_array.array()
+    heading = plan.heading_rad
+    local = np.where(paths.valid, paths.arrival_azimuth_rad - heading, 0.0)
+    rise = np.where(paths.valid, paths.arrival_elevation_rad, 0.0)
+    response = channel_response(paths, grid, np.swapaxes(array.steering(local, rise), -1, -2))
+    cfr = add_noise(response, noise, rng)
+    described = {"elements": 4, "rows": rows, "lying": True, "spacing_wavelengths": 0.5, "boresight_rad": 0.0}
+    anchors = [anchor.name for anchor in plan.anchors]
+    radio = {**signal(grid, noise), "agent_array": described}
+    writer = DatasetWriter(tmp_path / "dataset", {"anchors": anchors, "epochs": len(track), "radio": radio})
+    writer.write("passive", "passive-00000.nc", passive_shard(cfr, anchors))
+    writer.finish()
+    measured = extract(open_dataset(tmp_path / "dataset"))
+    assert np.mean([len(p) for epoch in measured.epochs for p in epoch.paths]) > 3.0
+    if rows == 1:
+        assert all(p.azimuth_rad is None for epoch in measured.epochs for p in epoch.paths)
+        return
+    normalised, errors = [], []
+    for t, epoch in enumerate(measured.epochs):
+        for k, heard in enumerate(epoch.paths):
+            assert heard.azimuth_rad is not None
+            assert heard.azimuth_std_rad is not None
+            valid = paths.valid[t, k]
+            gap = np.abs(heard.range_m[:, None] - SPEED_OF_LIGHT_M_S * paths.delay_s[t, k][valid])
+            true = (paths.arrival_azimuth_rad[t, k][valid] - heading)[np.argmin(gap, axis=1)]
+            error = np.angle(np.exp(1j * (heard.azimuth_rad - true)))[np.min(gap, axis=1) < GATE_M]
+            errors += list(error)
+            normalised += list(error / heard.azimuth_std_rad[np.min(gap, axis=1) < GATE_M])
+    assert len(errors) > 80
+    assert np.mean(np.abs(errors) < np.deg2rad(1.0)) > 0.97
+    assert np.mean(np.square(normalised)) < 1.5  # less: the floor claimed is for arrays less ideal than this
+
+
 def test_a_dataset_without_a_sweep_has_no_walls(make: Callable[..., Dataset]) -> None:
     """Without an echo shard there are epochs and no walls, also where the manifest knows no echo."""
     dataset = make(without=("echo",))

@@ -68,9 +68,9 @@ def test_bad_levels_and_lengths_are_refused() -> None:
     """Thresholds must be positive, lengths not negative, and one tone has no delay."""
     with pytest.raises(InputError, match="threshold: expected a positive number, got -1"):
         false_alarm_probability(-1.0, 10.0)
-    with pytest.raises(InputError, match="directions: expected a length of 0 or more, got -2"):
+    with pytest.raises(InputError, match="lengths: expected 0 or more, got -2"):
         false_alarm_probability(1.0, 10.0, -2.0)
-    with pytest.raises(InputError, match="delays: expected a length of 0 or more, got nan"):
+    with pytest.raises(InputError, match="lengths: expected 0 or more, got nan"):
         detection_threshold(0.1, np.nan)
     with pytest.raises(InputError, match="tones: expected at least 2, got 1"):
         delay_length(1)
