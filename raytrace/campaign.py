@@ -25,8 +25,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from estimator.errors import FileFormatError
+from raytrace.agents import generate_agents
 from raytrace.floorplan import FloorPlan, load_floorplan
-from raytrace.generate import generate
 from raytrace.journal import require_place
 from raytrace.links import Part
 from raytrace.output import Output
@@ -126,13 +126,14 @@ def run_campaign(
     if not out.is_dir():
         require_place(out)
         out.mkdir()
+    made: list[Path] = []
     for done, run in enumerate(runs):
         if progress is not None:
             progress(done, len(runs), run.folder)
-        generate(run.plan, out / run.folder, run.seed, output=output, resume=True, crew=crew)
+        made += generate_agents(run.plan, out / run.folder, run.seed, output=output, resume=True, crew=crew)
     if progress is not None:
         progress(len(runs), len(runs), "done")
-    return tuple(out / name for name in names)
+    return tuple(made)
 
 
 def _runs(campaign: Campaign, folder: Path) -> Iterator[_Run]:

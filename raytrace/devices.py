@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from raytrace.links import Count, Finite, NonNegative, Part, Positive, added
 
-__all__ = ["Agent", "Anchor", "Clock", "Name", "Point2", "Point3", "Target"]
+__all__ = ["Agent", "Anchor", "Clock", "FurtherAgent", "Name", "Point2", "Point3", "Target"]
 
 Point2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
 Point3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
@@ -59,6 +59,12 @@ class Agent(Part):
     heading_deg: Finite = 0.0
     orientation: Literal["fixed", "travel"] = added("fixed")
     clock: Clock = added(Clock())
+
+
+class FurtherAgent(Agent):
+    """Another agent in the same rooms, with the radio and echo of the first; its dataset has its name."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
 
 
 class Target(Part):

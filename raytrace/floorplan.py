@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from estimator.errors import InputError
-from raytrace.devices import Agent, Anchor, Name, Point2, Target
+from raytrace.devices import Agent, Anchor, FurtherAgent, Name, Point2, Target
 from raytrace.links import Echo, Part, Positive, Radio, added
 from raytrace.materials import permittivity, relative_permittivity
 from raytrace.plan_checks import PlanFault, check_plan
@@ -115,6 +115,7 @@ class FloorPlan(Part):
     scattering_patterns: dict[str, ScatteringPattern] = added({})
     anchors: Annotated[tuple[Anchor, ...], Field(min_length=1, strict=False)]
     agent: Agent
+    agents: Annotated[tuple[FurtherAgent, ...], Field(strict=False)] = added(())
     targets: Annotated[tuple[Target, ...], Field(strict=False)] = added(())
     radio: Radio = Radio()
     echo: Echo = Echo()
@@ -165,6 +166,14 @@ class FloorPlan(Part):
         ends = self.radio.anchor_array, self.radio.agent_array
         plain = all(end.pattern == "iso" and end.polarization == "V" for end in ends)
         return not plain or any(anchor.downtilt_deg for anchor in self.anchors)
+
+    def by_agent(self) -> dict[str, FloorPlan]:
+        """A plan of one agent for each agent, by its name; the first is called ``agent``."""
+        plans = {"agent": self.model_copy(update={"agents": ()})}
+        for other in self.agents:
+            agent = Agent.model_validate(other.model_dump(exclude={"name"}))
+            plans[other.name] = self.model_copy(update={"agent": agent, "agents": ()})
+        return plans
 
     def track(self) -> NDArray[np.float64]:
         """The agent's positions, shape (epochs, 3), metres; row 0 is the reference point."""

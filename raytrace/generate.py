@@ -87,7 +87,7 @@ def generate(
         If ``out`` exists and is not to be gone on with, or another process writes it;
         nothing is traced then.
     ConfigurationError
-        If ``out`` was begun with something else.
+        If ``out`` was begun with something else, or the plan has several agents.
     BackendError
         If the ray tracer cannot run on this machine, or a worker died.
     """
@@ -150,6 +150,8 @@ def _prepared(
     """Settings with everything chosen, and the head of the manifest; nothing is written if that fails."""
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigurationError(f"seed: expected an integer of at least 0, got {seed!r}")
+    if plan.agents:
+        raise ConfigurationError(f"{plan.name}: expected a plan of one agent, got {1 + len(plan.agents)}")
     if not resume:
         require_place(out)
     settings = (Output() if output is None else output).chosen(plan)

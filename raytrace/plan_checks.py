@@ -42,6 +42,12 @@ def check_plan(plan: FloorPlan) -> None:
     _check_anchors(plan, room)
     _check_agent(plan, room)
     _check_targets(plan, room)
+    for index, (name, alone) in enumerate(list(plan.by_agent().items())[1:]):
+        try:
+            _check_agent(alone, room)
+            _check_targets(alone, room)
+        except PlanFault as fault:
+            raise PlanFault(f"agents[{index}] ({name}): {fault}") from fault
 
 
 def _check_names(plan: FloorPlan) -> None:
@@ -49,6 +55,7 @@ def _check_names(plan: FloorPlan) -> None:
         ("walls", [wall.name for wall in plan.walls]),
         ("anchors", [anchor.name for anchor in plan.anchors]),
         ("targets", [target.name for target in plan.targets]),
+        ("agents", ["agent", *(agent.name for agent in plan.agents)]),
     ):
         twice = _first_repeated(names)
         if twice is not None:

@@ -11,6 +11,7 @@ import shapely
 import tomli_w
 
 from estimator.dataset import require_absent, write_text
+from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.floorplan import FORMAT, VERSION, FloorPlan
 from raytrace.images import image_paths
 from raytrace.placement import enclosed
@@ -56,7 +57,8 @@ def floorplan_summary(plan: FloorPlan) -> dict[str, Any]:
         ``name``, ``walls``, ``wall_length_m``, ``materials`` (walls of each),
         ``area_m2``, ``anchors``, ``epochs``, ``track_m`` (length),
         ``line_of_sight`` (share of the epochs at which each anchor is seen),
-        ``surfaces``, ``sha256`` and ``warnings`` (texts).
+        ``surfaces``, ``sha256`` and ``warnings`` (texts); ``agents`` (names) and ``targets`` if
+        there are several, or any.
     """
     start, end = plan.walls_m()
     track = plan.track()
@@ -74,9 +76,11 @@ def floorplan_summary(plan: FloorPlan) -> dict[str, Any]:
         "anchors": len(names),
         "line_of_sight": {n: round(float(share), 3) for n, share in zip(names, seen, strict=True)},
         "epochs": plan.agent.epochs,
+        **({"agents": list(plan.by_agent())} if plan.agents else {}),
+        **({"targets": len(plan.targets)} if plan.targets else {}),
         "track_m": round(float(np.linalg.norm(np.diff(track, axis=0), axis=1).sum()), 3),
         "sha256": plan.sha256(),
-        "warnings": [*_overlaps(plan), *_loose_ends(plan), *_unseen(names, seen)],
+        "warnings": [*_overlaps(plan), *_loose_ends(plan), *_unseen(names, seen), *_radio(plan)],
     }
 
 
@@ -118,3 +122,25 @@ def _unseen(names: list[str], seen: np.ndarray[Any, np.dtype[np.float64]]) -> li
         for name, share in zip(names, seen, strict=True)
         if share == 0.0
     ]
+
+
+def _radio(plan: FloorPlan) -> list[str]:
+    """Clocks and speeds that make the channels ambiguous."""
+    grid, found = plan.radio.grid(), []
+    error_s = float(np.abs(plan.clock_errors_s()).max())
+    unambiguous_s = 0.5 / grid.tone_spacing_hz
+    if error_s > unambiguous_s:
+        found.append(f"clocks differ by {error_s:.3g} s, delays are unambiguous within {unambiguous_s:.3g} s")
+    doppler_hz = plan.agent.speed_m_s * grid.carrier_hz / SPEED_OF_LIGHT_M_S
+    integrated_s = plan.radio.symbols / plan.radio.subcarrier_spacing_hz
+    if doppler_hz * integrated_s > 0.25:
+        found.append(
+            f"at {plan.agent.speed_m_s:g} m/s a path turns by {doppler_hz * integrated_s:.2g} turns "
+            f"within the {plan.radio.symbols} symbols that a channel integrates, as if it stood"
+        )
+    if doppler_hz * plan.radio.snapshot_interval_s > 0.5 and plan.radio.snapshots > 1:
+        found.append(
+            f"Doppler shifts up to {doppler_hz:.3g} Hz are ambiguous with snapshots "
+            f"{plan.radio.snapshot_interval_s:g} s apart"
+        )
+    return found

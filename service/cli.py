@@ -106,7 +106,7 @@ def demo(
     from service.demo import claim_folder, new_folder, run_demo
     from service.report import print_evaluation
 
-    plan = load_floorplan(scene)
+    plan = load_floorplan(scene).by_agent()["agent"]
     folder = claim_folder(out) if out is not None else new_folder(f"{plan.name}-seed{seed}")
     numbers = run_demo(
         lambda dataset, advance: generate(plan, dataset, seed, advance),

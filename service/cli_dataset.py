@@ -74,9 +74,13 @@ def trace(
     licence: Annotated[str, typer.Option(help="Terms of use, for the data card.")] = "",
     quiet: Quiet = False,
 ) -> None:
-    """Trace a floor plan and write a dataset: channels, echoes, paths, truth."""
+    """Trace a floor plan and write a dataset: channels, echoes, paths, truth.
+
+    If the plan has several agents, the folder holds a dataset of each.
+    """
+    from raytrace.agents import generate_agents
     from raytrace.floorplan import load_floorplan
-    from raytrace.generate import generate, generate_part
+    from raytrace.generate import generate_part
     from raytrace.output import Output
     from raytrace.workers import workers
 
@@ -85,7 +89,7 @@ def trace(
     portion = None if part is None else _part(part)
     with workers(jobs, scheduler) as crew, Reporter(quiet).stage("trace") as advance:
         if portion is None:
-            generate(plan, out, seed, advance, output=output, resume=resume, crew=crew)
+            generate_agents(plan, out, seed, advance, output=output, resume=resume, crew=crew)
         else:
             generate_part(plan, out, seed, portion, advance, output=output, resume=resume, crew=crew)
 

@@ -104,6 +104,10 @@ def chair(**changes: Any) -> dict[str, Any]:
     return {key: value for key, value in target.items() if value is not None}
 
 
+def walker(**changes: Any) -> dict[str, Any]:
+    return {"name": "ann", "waypoints_m": [[2.0, 7.0], [8.0, 7.0]], "epochs": 5, **changes}
+
+
 BAD_VALUES = [
     ({"format": "dxf"}, "format: expected 'hapslam-floorplan', got 'dxf'"),
     ({"version": 2}, "version: expected 1, got 2"),
@@ -199,6 +203,10 @@ BAD_VALUES = [
         {"scattering_patterns": {"brick": {"pattern": "phong"}}},
         r"pattern: expected 'lambertian', .* got 'phong'",
     ),
+    ({"agents": [walker(name="agent")]}, "agents: expected names that differ, got 'agent' twice"),
+    ({"agents": [walker(name="a/b")]}, r"agents\[0\]\.name: expected .*pattern.*, got 'a/b'"),
+    ({"agents": [walker(epochs=50)]}, r"agents\[0\] \(ann\): agent\.epochs: expected at most"),
+    ({"agents": [walker(waypoints_m=[[2.0, 7.0], [18.0, 7.0]], epochs=30)]}, r"\(ann\): .* leaves the room"),
     ({"tracing": {"depth": 9}}, r"tracing\.depth: expected less than or equal to 3, got 9"),
 ]
 
