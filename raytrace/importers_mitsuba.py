@@ -80,7 +80,7 @@ def read_mitsuba(data: bytes, options: ImportOptions, meshes: Mapping[str, bytes
         raise FileFormatError(f"expected shapes that can be read, got none: {why}")
     drawing = cut(solids, options)
     drawing.report.dropped.update(dropped)
-    for tag in ("include", "sensor", "emitter", "integrator", "medium"):
+    for tag in ("include", "path", "texture", "sensor", "emitter", "integrator", "medium"):
         drawing.report.dropped[f"<{tag}>"] += len(list(root.iter(tag)))
     drawing.report.dropped = +drawing.report.dropped
     return drawing

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -65,3 +68,25 @@ def digests() -> Callable[[Path], dict[str, str]]:
         return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}
 
     return hashes
+
+
+class _OpenedFiles:
+    """Names of all files that are opened within; an audit hook cannot be taken away, only silenced."""
+
+    def __enter__(self) -> list[str]:
+        self.names: list[str] | None = []
+        sys.addaudithook(self._hear)
+        return self.names
+
+    def __exit__(self, *_: object) -> None:
+        self.names = None
+
+    def _hear(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if event in ("open", "subprocess.Popen", "os.system", "exec") and self.names is not None:
+            self.names.append(str(arguments[0]))
+
+
+@pytest.fixture(scope="session")
+def opened_files() -> Callable[[], AbstractContextManager[list[str]]]:
+    """Listens to the files that are opened, and the programs that are started, within a context."""
+    return _OpenedFiles

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import io
 import math
-import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -182,7 +182,9 @@ def test_far_drawings_are_moved_to_the_origin(tmp_path: Path) -> None:
     assert "moved by (-500000, -4e+06) m to the origin" in made.drawing.report.notes
 
 
-def test_references_to_other_files_are_not_followed(tmp_path: Path) -> None:
+def test_references_to_other_files_are_not_followed(
+    tmp_path: Path, opened_files: Callable[[], AbstractContextManager[list[str]]]
+) -> None:
     """An external reference is reported; the only file that is opened is the one that was given."""
     other = flat(1.0, 6)
     other.saveas(tmp_path / "other.dxf")
@@ -195,22 +197,6 @@ def test_references_to_other_files_are_not_followed(tmp_path: Path) -> None:
     assert set(opened) == {str(tmp_path / "flat.dxf")}
     assert made.drawing.report.dropped["INSERT of another file (OTHER), not followed"] == 1
     assert max(x for wall in made.plan.walls for x in (wall.from_m[0], wall.to_m[0])) < 12
-
-
-class opened_files:
-    """Names of all files that are opened within; an audit hook cannot be taken away, only silenced."""
-
-    def __enter__(self) -> list[str]:
-        self.names: list[str] | None = []
-        sys.addaudithook(self._hear)
-        return self.names
-
-    def __exit__(self, *_: object) -> None:
-        self.names = None
-
-    def _hear(self, event: str, arguments: tuple[Any, ...]) -> None:
-        if event in ("open", "subprocess.Popen", "os.system", "exec") and self.names is not None:
-            self.names.append(str(arguments[0]))
 
 
 def altered(change: Callable[[Any], None]) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +129,31 @@ def test_meshes_are_read_only_if_given(tmp_path: Path) -> None:
     assert without.drawing.report.dropped["mesh inner.ply, which was not given"] == 1
     given = import_floorplan(path, meshes=[mesh])
     assert frozenset([(4.05, 2.0), (4.05, 6.0)]) in ends(given)
+
+
+def test_nothing_that_a_scene_names_is_opened(
+    tmp_path: Path, opened_files: Callable[[], AbstractContextManager[list[str]]]
+) -> None:
+    """Scenes to include, meshes, textures and plug-ins by name: reported, and left alone."""
+    for name in ("other.xml", "inner.ply", "wood.png", "sky.exr"):
+        (tmp_path / name).write_text("not to be read")
+    named = (
+        '<include filename="other.xml"/><path value="."/>',
+        '<shape type="ply"><string name="filename" value="inner.ply"/></shape>',
+        '<shape type="obj"><string name="filename" value="/etc/passwd"/></shape>',
+        '<texture type="bitmap" id="wood"><string name="filename" value="wood.png"/></texture>',
+        '<emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>',
+    )
+    path = tmp_path / "room.xml"
+    path.write_text(scene(*four_walls(), *named))
+    import_floorplan(path)  # what a first import loads is not of interest
+    with opened_files() as opened:
+        made = import_floorplan(path)
+    assert set(opened) == {str(path)}
+    assert len(made.plan.walls) == 4
+    dropped = made.drawing.report.dropped
+    assert dropped["<include>"] == dropped["<path>"] == dropped["<texture>"] == dropped["<emitter>"] == 1
+    assert dropped["mesh inner.ply, which was not given"] == 1
 
 
 def test_a_cube_is_four_walls(tmp_path: Path) -> None:

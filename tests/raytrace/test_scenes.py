@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from raytrace.comparison import compare
 from raytrace.floorplan import FloorPlan, load_floorplan, shipped_scenes
 from raytrace.passive import trace_passive
 from raytrace.plan_files import floorplan_summary
@@ -31,21 +32,29 @@ def test_scenes_are_sound(name: str) -> None:
 @pytest.mark.parametrize("name", ROOMS)
 @pytest.mark.parametrize("depth", [1, 2])
 def test_no_path_is_lost(name: str, depth: int) -> None:
-    """At forty places along the way: every path of the image method, and no other."""
+    """At forty places along the way: every path of the image method, no other, and as strong as in theory."""
     plan = thinned(load_floorplan(name), 40).updated({"tracing.depth": depth})
-    _, report = trace_passive(plan)
+    paths, report = trace_passive(plan)
     assert (report.missing, report.extra) == (0, 0)
     assert report.found == report.expected > 100
+    result = compare(plan, plan.track(), paths.flat())
+    assert result.ok, result.as_dict()
+    assert result.found == report.found
+    assert result.amplitude_over == 0
+    assert 0.0 < result.amplitude_error_db < 0.05
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", shipped_scenes())
 @pytest.mark.parametrize("depth", [1, 2, 3])
 def test_whole_scenes_are_traced(name: str, depth: int) -> None:
-    """The whole way: nothing lost up to two bounces, at most a thousandth at three, nothing extra."""
-    _, report = trace_passive(load_floorplan(name).updated({"tracing.depth": depth}))
-    assert report.missing <= (1e-3 * report.expected if depth == 3 else 0)
-    assert report.extra == 0
+    """The whole way: nothing lost up to two bounces, at most a thousandth at three, nothing wrong."""
+    plan = load_floorplan(name).updated({"tracing.depth": depth})
+    paths, report = trace_passive(plan)
+    result = compare(plan, plan.track(), paths.flat())
+    print(name, depth, report.as_dict(), {**result.as_dict(), "named": ()})  # noqa: T201
+    assert result.missing == report.missing <= (1e-3 * report.expected if depth == 3 else 0)
+    assert (result.extra, result.wrong, result.amplitude_over) == (0, 0, 0)
 
 
 def test_the_office_has_doors_and_glass() -> None:

@@ -33,6 +33,19 @@ def test_the_estimator_is_measured_in_earnest(main: Runner) -> None:
         assert row["ratio"] == pytest.approx(row["peer_value"] / row["value"])
 
 
+def test_the_ray_tracer_is_measured_in_earnest(main: Runner) -> None:
+    """Ours is beside one solver call per position and far faster; a small dataset stays within its memory."""
+    run = main("bench", "--only", "raytrace", "--quick", "--json")
+    assert run.status == 0, run.err
+    first, second, memory, seconds, size = json.loads(run.out)["rows"]
+    assert first["peer_value"] == pytest.approx(50.0 * first["bar"])
+    assert first["ratio"] > 10.0
+    assert 0.0 < second["value"] < 10.0 * second["bar"]
+    assert 0.1 < memory["value"] < memory["bar"] == 3.0
+    assert seconds["value"] > 0.0
+    assert size["value"] > 500 * 4 * 819 * 8 * 0.5 / 2**30
+
+
 def test_the_table_says_what_is_met(main: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     """A bar that is met, one that is not, none at all, and a peer, each as the table shows them."""
 

@@ -1,0 +1,159 @@
+"""What tracing costs: paths beside one solver call per position, and a long dataset's time, size and memory.
+
+Times are wall-clock, of one process; the image method's check is part of ours, and not of the naive way.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from importlib.util import find_spec
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import BackendError
+from raytrace.floorplan import FloorPlan, load_floorplan
+from raytrace.generate import generate
+from raytrace.passive import trace_passive
+from raytrace.scene import build_scene
+from service.bench.rows import Row
+
+__all__ = ["rows"]
+
+_TIMES_FASTER = 50.0
+_SECOND_ORDER_BAR_MS = 0.5
+_MEMORY_BAR_GIB = 3.0
+_ANCHORS_M = ((68.0, 6.0, 2.5), (42.0, 36.0, 2.5), (5.0, 5.0, 2.5), (66.0, 57.0, 2.5))
+_STEP_M = 0.05
+
+
+def rows(quick: bool) -> Iterator[Row]:
+    """Measure row by row; nothing where the ray tracer is not installed.
+
+    Parameters
+    ----------
+    quick : bool
+        Fewer positions: some twenty seconds rather than some minutes and 3 GB of temporary files.
+    """
+    if find_spec("sionna") is None:
+        return
+    try:
+        yield from _passive(200 if quick else 1461, 10 if quick else 60)
+        yield from _dataset(500 if quick else 100_000)
+    except BackendError:  # `hapslam doctor` tells why
+        return
+
+
+def _passive(positions: int, sample: int) -> Iterator[Row]:
+    """Paths of the L-room's walk at equal steps, two anchors; each depth traced once before, to compile."""
+    room = load_floorplan("l-room")
+    step = room.agent.step_m * (room.agent.epochs - 1) / positions
+    room = room.updated({"agent.epochs": positions, "agent.step_m": step})
+    what = f"{positions} positions x {len(room.anchors)} anchors, image oracle on"
+    ours = {depth: _traced_ms(room.updated({"tracing.depth": depth})) for depth in (1, 2)}
+    naive = _naive_ms(room, sample)
+    peer = f"a solver call per position, no oracle (sample of {sample})"
+    label = "paths of a position and anchor"
+    yield Row(f"{label}, depth 1: {what}", ours[1], "ms", naive / _TIMES_FASTER, peer, naive)
+    yield Row(f"{label}, depth 2: {what}", ours[2], "ms", _SECOND_ORDER_BAR_MS)
+
+
+def _traced_ms(plan: FloorPlan) -> float:
+    """Wall-clock time per position and anchor."""
+    radio = build_scene(plan, plan.radio.carrier_hz)
+    trace_passive(plan, radio)
+    begin = time.perf_counter()
+    trace_passive(plan, radio)
+    return 1e3 * (time.perf_counter() - begin) / (plan.agent.epochs * len(plan.anchors))
+
+
+def _naive_ms(plan: FloorPlan, sample: int) -> float:
+    """The same for one solver call per position, as a loop over Sionna's devices is written.
+
+    Positions are drawn anew for every run: kernels of earlier ones may lie compiled on disk.
+    """
+    import sionna.rt as rt
+
+    scene = build_scene(plan, plan.radio.carrier_hz).scene
+    scene.tx_array = scene.rx_array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
+    for anchor in plan.anchors:
+        scene.add(rt.Transmitter(anchor.name, list(anchor.position_m)))
+    receiver = rt.Receiver("agent", [0.0, 0.0, 0.0])
+    scene.add(receiver)
+    solver, rng = rt.PathSolver(), np.random.default_rng()
+    places = rng.choice(plan.track(), sample + 1, replace=False) + rng.uniform(0.0, 0.05, (sample + 1, 3))
+
+    def trace(place: NDArray[np.float64]) -> None:
+        receiver.position = place.tolist()
+        paths = solver(
+            scene, max_depth=1, samples_per_src=plan.tracing.samples, synthetic_array=False, refraction=False
+        )
+        paths.cir(normalize_delays=False, out_type="numpy")
+
+    trace(places[0])
+    begin = time.perf_counter()
+    for place in places[1:]:
+        trace(place)
+    return 1e3 * (time.perf_counter() - begin) / (sample * len(plan.anchors))
+
+
+def _dataset(positions: int) -> Iterator[Row]:
+    """A whole dataset with channels, in a process of its own, whose memory is read when it is done."""
+    with (
+        tempfile.TemporaryDirectory(prefix="hapslam-bench-") as folder,
+        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
+    ):
+        seconds, peak_gib, size_gib, tones = pool.submit(_generated, positions, Path(folder)).result()
+    what = f"dataset, {positions} positions x {len(_ANCHORS_M)} anchors x {tones} tones, depth 2"
+    yield Row(f"{what}: peak memory", peak_gib, "GiB", _MEMORY_BAR_GIB)
+    yield Row(f"{what}: time", seconds, "s")
+    yield Row(f"{what}: size", size_gib, "GiB")
+
+
+def _generated(positions: int, folder: Path) -> tuple[float, float, float, int]:
+    """Seconds, peak of resident memory (GiB), size (GiB) and tones of a dataset that is made."""
+    plan = _long_walk(positions)
+    begin = time.perf_counter()
+    dataset = generate(plan, folder / "room", seed=1).dataset
+    seconds = time.perf_counter() - begin
+    size = sum(file.stat().st_size for file in dataset.path.iterdir())
+    return seconds, _peak_kib() / 2**20, size / 2**30, plan.radio.grid().tones
+
+
+def _long_walk(positions: int) -> FloorPlan:
+    """The L-room with four anchors, its walk gone to and fro as often as it takes, in steps of 5 cm."""
+    room = load_floorplan("l-room")
+    way = room.agent.waypoints_m
+    once_m = (room.agent.epochs - 1) * room.agent.step_m
+    walk = list(way)
+    for lap in range(int(positions * _STEP_M / once_m) + 1):
+        walk += (way[::-1] if lap % 2 == 0 else way)[1:]
+    return room.updated(
+        {
+            "name": "l-room-long",
+            "anchors": [
+                {"name": f"pa{number}", "position_m": list(place)}
+                for number, place in enumerate(_ANCHORS_M, 1)
+            ],
+            "agent.waypoints_m": walk,
+            "agent.step_m": _STEP_M,
+            "agent.epochs": positions,
+        }
+    )
+
+
+def _peak_kib() -> int:
+    """Peak of this process's resident memory; that of Python's starter is not counted in, unlike rusage's."""
+    status = Path("/proc/self/status")
+    if status.is_file():
+        for line in status.read_text(encoding="ascii").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1])
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
