@@ -26,9 +26,9 @@ __all__ = ["Comparison", "compare"]
 _DELAY_M = 1e-3
 _ANGLE_DEG = 0.01
 _AMPLITUDE_DB = 0.05
-# Nearer to a corner (0.14 dB off at 4 cm), or weaker than free space by more (0.07 dB off 30 dB
-# down), single precision shows: amplitudes are not compared.
-_CORNER_M = 0.1
+# Nearer to a corner (0.14 dB off at 4 cm, 0.054 at 12 cm), or weaker than free space by more
+# (0.07 dB off 30 dB down), single precision shows: amplitudes are not compared.
+_CORNER_M = 0.2
 _FADED_DB = 25.0
 _MOST_NAMED = 100
 
@@ -49,7 +49,7 @@ class Comparison:
         Largest deviations of delays (as lengths) and directions of arrival, as far as these are numbers.
     amplitude_error_db, amplitude_over : float, int
         Largest deviation of a magnitude from Fresnel theory, and how many deviate by more
-        than 0.05 dB: among paths that stay 10 cm from every corner and are at most 25 dB
+        than 0.05 dB: among paths that stay 20 cm from every corner and are at most 25 dB
         weaker than over as much free space.
     named : tuple of dict
         The first hundred paths that are missing, extra or wrong: ``fault``, ``epoch``,

@@ -9,7 +9,8 @@ again, repeated until they fill a batch, which gives every path several other ha
 then with more rays. Paths that bounce within a millimetre of a corner, or pass one so
 closely, are not expected, for there the tracer's single precision decides, and not extra
 if they are found; nor are those with a leg of about a centimetre or less (two bounces at
-one corner), which the tracer leaves out.
+one corner), which the tracer leaves out. Directions are computed anew in double precision,
+and paths that name the surface beside the one they meet are dropped (:mod:`raytrace.bounces`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from raytrace.bounces import sharpened
 from raytrace.floorplan import FloorPlan
 from raytrace.images import image_paths
 from raytrace.paths import PathList, PathSet
@@ -124,7 +126,7 @@ def trace_specular(
             part = _distinct(PathList.concatenate([part, again]))
         parts.append(part)
 
-    paths = PathList.concatenate(parts)
+    paths = sharpened(plan, PathList.concatenate(parts), positions_m, sources_m, RIM_M)
     expected, traced = keys(exact), keys(paths)
     unexpected = np.setdiff1d(traced, expected)
     if unexpected.size:
