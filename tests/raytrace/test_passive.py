@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
+from raytrace.bounces import sharpened
 from raytrace.floorplan import FloorPlan, load_floorplan
 from raytrace.images import image_paths
 from raytrace.passive import TraceReport, trace_passive, trace_specular
@@ -71,6 +74,33 @@ def test_angles_are_those_of_image_geometry(room: Traced) -> None:
         "arrival_elevation_rad",
     ):
         assert turn(getattr(traced, name) - getattr(exact, name)).max() < 1e-3, name
+
+
+def test_the_tracers_own_directions_agree(room: Traced) -> None:
+    """Before they are sharpened, directions at both ends are those of image geometry to single precision."""
+    plan, radio, _, _ = room
+    raw = solve(radio, plan.anchors_m()[0], plan.track(), depth=2, samples=plan.tracing.samples)
+    raw, exact = pairs(plan, raw, image_paths(plan, anchors_m=plan.anchors_m()[:1]).flat())
+    assert len(raw) > 2000
+    for end in ("departure", "arrival"):
+        for angle in ("azimuth", "elevation"):
+            name = f"{end}_{angle}_rad"
+            assert turn(getattr(raw, name) - getattr(exact, name)).max() < 1e-3, name
+
+
+def test_paths_beside_their_surfaces_are_dropped() -> None:
+    """A bounce on one of two walls in a plane does not count for the other; a rim's breadth is allowed."""
+    plan = load_floorplan("office").updated({"agent.epochs": 60})
+    exact = image_paths(plan, depth=1).flat()
+    left, right = (plan.surface_names.index(f"front-a{side}") for side in ("1-right", "2-left"))
+    there = exact.walls[:, 0] == left
+    assert there.sum() > 5
+    swapped = replace(exact, walls=np.where(exact.walls == left, right, exact.walls).astype(np.int16))
+    kept = sharpened(plan, swapped, plan.track(), plan.anchors_m(), 1e-3)
+    assert len(kept) == len(exact) - there.sum()
+    same = sharpened(plan, exact, plan.track(), plan.anchors_m(), 1e-3)
+    assert len(same) == len(exact)
+    assert len(sharpened(plan, swapped, plan.track(), plan.anchors_m(), 10.0)) == len(exact)
 
 
 def test_amplitudes_are_fresnel(room: Traced) -> None:
