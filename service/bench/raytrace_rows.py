@@ -12,16 +12,16 @@ from concurrent.futures import ProcessPoolExecutor
 from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import BackendError
-from raytrace.floorplan import FloorPlan, load_floorplan
-from raytrace.generate import generate
-from raytrace.passive import trace_passive
-from raytrace.scene import build_scene
 from service.bench.rows import Row
+
+if TYPE_CHECKING:
+    from raytrace.floorplan import FloorPlan
 
 __all__ = ["rows"]
 
@@ -51,6 +51,8 @@ def rows(quick: bool) -> Iterator[Row]:
 
 def _passive(positions: int, sample: int) -> Iterator[Row]:
     """Paths of the L-room's walk at equal steps, two anchors; each depth traced once before, to compile."""
+    from raytrace.floorplan import load_floorplan
+
     room = load_floorplan("l-room")
     step = room.agent.step_m * (room.agent.epochs - 1) / positions
     room = room.updated({"agent.epochs": positions, "agent.step_m": step})
@@ -65,6 +67,9 @@ def _passive(positions: int, sample: int) -> Iterator[Row]:
 
 def _traced_ms(plan: FloorPlan) -> float:
     """Wall-clock time per position and anchor."""
+    from raytrace.passive import trace_passive
+    from raytrace.scene import build_scene
+
     radio = build_scene(plan, plan.radio.carrier_hz)
     trace_passive(plan, radio)
     begin = time.perf_counter()
@@ -78,6 +83,8 @@ def _naive_ms(plan: FloorPlan, sample: int) -> float:
     Positions are drawn anew for every run: kernels of earlier ones may lie compiled on disk.
     """
     import sionna.rt as rt
+
+    from raytrace.scene import build_scene
 
     scene = build_scene(plan, plan.radio.carrier_hz).scene
     scene.tx_array = scene.rx_array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
@@ -117,6 +124,8 @@ def _dataset(positions: int) -> Iterator[Row]:
 
 def _generated(positions: int, folder: Path) -> tuple[float, float, float, int]:
     """Seconds, peak of resident memory (GiB), size (GiB) and tones of a dataset that is made."""
+    from raytrace.generate import generate
+
     plan = _long_walk(positions)
     begin = time.perf_counter()
     dataset = generate(plan, folder / "room", seed=1).dataset
@@ -127,6 +136,8 @@ def _generated(positions: int, folder: Path) -> tuple[float, float, float, int]:
 
 def _long_walk(positions: int) -> FloorPlan:
     """The L-room with four anchors, its walk gone to and fro as often as it takes, in steps of 5 cm."""
+    from raytrace.floorplan import load_floorplan
+
     room = load_floorplan("l-room")
     way = room.agent.waypoints_m
     once_m = (room.agent.epochs - 1) * room.agent.step_m
