@@ -29,13 +29,14 @@ soak: $(VENV)/.dev
 	@HAPSLAM_TEST_KILLS=200 HAPSLAM_TEST_RESTARTS=10 HAPSLAM_TEST_BODIES=2000 HAPSLAM_TEST_EXAMPLES=100 \
 	    $(BIN)/python -m pytest tests/service/test_durability.py tests/service/test_fuzz.py $(ARGS)
 	@$(BIN)/python -m pytest -m soak tests/raytrace $(ARGS)
-	@$(BIN)/hapslam service bench
+	@$(BIN)/hapslam bench --only service
 
 lint: $(VENV)/.dev
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+	@$(BIN)/bandit -q -c pyproject.toml -r estimator raytrace service
 
 format: $(VENV)/.dev
 	@$(BIN)/ruff check --fix-only .

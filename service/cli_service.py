@@ -135,25 +135,6 @@ def key_revoke(
         KeyRing(engine).revoke(key_id)
 
 
-@_service.command("bench")
-def service_bench(
-    sessions: Annotated[int, typer.Option(min=1, help="Sessions that send at the same time.")] = 50,
-    seconds: Annotated[float, typer.Option(min=1.0, help="How long.")] = 60.0,
-    rate: Annotated[
-        float, typer.Option(min=0.0, help="Epochs a second in all; 0: as many as can be.")
-    ] = 160.0,
-    workers: Annotated[int, typer.Option(min=0, help="Processes that step sessions.")] = 2,
-    database: Database = None,
-) -> None:
-    """Load a server of its own, one epoch a request; figures as JSON."""
-    import json
-
-    from service.bench.load import LoadConfig, measure_load
-
-    figures = measure_load(LoadConfig(sessions, seconds, rate, workers), database)
-    sys.stdout.write(json.dumps(figures, indent=2) + "\n")
-
-
 @_service.command("verify")
 def service_verify(
     database: Database = None,

@@ -24,20 +24,21 @@ _WALLS = np.array(
 _NAMES = ("west", "north", "east", "south", "north of the annex", "edge")
 _ANCHORS = np.array([(68.0, 6.0), (42.0, 36.0)])
 _CORNERS = np.array([(10.0, 15.0), (70.0, 9.0), (73.5, 12.0), (70.0, 48.0), (66.0, 52.5), (54.0, 55.0)])
-_STEP_M = 0.5
 _SENSED_M2 = (0.08, 0.7, 4.0, 0.2)  # what active sensing knows of the first walls, per axis
 
 
-def example(seed: int) -> dict[str, Any]:
+def example(seed: int, step_m: float = 0.5) -> dict[str, Any]:
     """Requests in the order to send them: ``session``, ``sweep``, ``truth``, and all ``epochs``.
 
     Parameters
     ----------
     seed : int
         Seed of the simulated noise.
+    step_m : float
+        How far the agent goes from epoch to epoch, metres.
     """
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(_CORNERS, axis=0), axis=1))])
-    at = np.arange(0.0, length[-1], _STEP_M)
+    at = np.arange(0.0, length[-1], step_m)
     track = np.stack([np.interp(at, length, _CORNERS[:, axis]) for axis in range(2)], axis=1)
     measurements = measure_scene(
         _WALLS[:, 0],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -98,3 +99,19 @@ def test_every_target_sets_up_first(target: str, tmp_path: Path) -> None:
     )
     assert "install --no-deps --no-build-isolation -e ." in plan
     assert ("requirements/dev.txt" in plan) == (target != "demo")
+
+
+@pytest.mark.parametrize("name", ["run.txt", "dev.txt"])
+def test_everything_is_pinned_by_hash_and_from_no_named_host(name: str) -> None:
+    """Each requirement has one version and a SHA-256; no line names an index, a link or a folder."""
+    text = (ROOT / "requirements" / name).read_text(encoding="utf-8").replace("\\\n", " ")
+    entries = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    assert len(entries) > 30
+    for entry in entries:
+        requirement = entry.partition(" --hash")[0].strip()
+        assert re.fullmatch(r"[a-z0-9._-]+(\[[a-z,]+\])?==[0-9][^ ;]*( ; .+)?", requirement), requirement
+        hashes = re.findall(r"--hash=(\S+)", entry)
+        assert hashes, requirement
+        assert all(re.fullmatch(r"sha256:[0-9a-f]{64}", found) for found in hashes), requirement
+        assert "://" not in entry
+        assert "--index" not in entry

@@ -1,4 +1,4 @@
-"""`hapslam service bench`: how many epochs a second, and how long they wait.
+"""The service under load: how many epochs a second, and how long they wait.
 
 A server is started on a database of its own; sessions send one epoch per request at a
 steady rate, each waiting for its answer before the next. Then the same connections ask a
@@ -9,24 +9,17 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket
-import subprocess
-import sys
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from estimator.errors import HapslamError
+from service.bench.server import running
 from service.client import Client
 from service.example import example
 
 __all__ = ["LoadConfig", "measure_load"]
-
-_START_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -79,33 +72,8 @@ def measure_load(config: LoadConfig, database: str | None = None) -> dict[str, A
     HapslamError
         If the server does not start.
     """
-    with TemporaryDirectory(prefix="hapslam-bench-") as folder:
-        url = database or f"sqlite:///{Path(folder) / 'bench.db'}"
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = int(probe.getsockname()[1])
-        command = "from service.cli import main; main()"
-        options = ["--port", str(port), "--database", url, "--workers", str(config.workers)]
-        begin = time.perf_counter()
-        with (Path(folder) / "log").open("wb") as log:
-            server = subprocess.Popen([sys.executable, "-c", command, "serve", *options], stderr=log)
-        try:
-            _wait(port, server)
-            start_s = time.perf_counter() - begin
-            return {"start_s": start_s, **_load(config, port), "memory_mib": _memory_mib(server.pid)}
-        finally:
-            server.terminate()
-            server.wait(60)
-
-
-def _wait(port: int, server: subprocess.Popen[bytes]) -> None:
-    end = time.perf_counter() + _START_S
-    while time.perf_counter() < end and server.poll() is None:
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return
-        time.sleep(0.02)
-    raise HapslamError("expected the server to start, it did not")
+    with running(config.workers, database) as server:
+        return {"start_s": server.start_s, **_load(config, server.port), "memory_mib": server.memory_mib()}
 
 
 def _load(config: LoadConfig, port: int) -> dict[str, Any]:
@@ -213,14 +181,3 @@ async def _answer(reader: asyncio.StreamReader) -> int:
         if name.lower() == "content-length":
             await reader.readexactly(int(value))
     return int(lines[0].split()[1])
-
-
-def _memory_mib(pid: int) -> float:
-    """Resident memory of a process and its children, MiB; 0 where the system does not tell."""
-    try:
-        status = (Path("/proc") / str(pid) / "status").read_text()
-        children = (Path("/proc") / str(pid) / "task" / str(pid) / "children").read_text().split()
-    except OSError:
-        return 0.0
-    own = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0)
-    return own / 1024 + sum(_memory_mib(int(child)) for child in children)

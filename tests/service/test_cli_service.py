@@ -13,6 +13,7 @@ import pytest
 from estimator.errors import ConfigurationError
 from estimator.measurements import MeasurementSet, save_measurements
 from service.bench.load import LoadConfig, measure_load
+from service.bench.memory import measure_memory
 from service.client import Client
 from service.settings import load_settings
 from tests.service.harness import Server
@@ -109,3 +110,25 @@ def test_the_load_test_runs(database: str) -> None:
     assert figures["epochs_per_s"] > 5.0
     assert figures["nothing_per_s"] > figures["epochs_per_s"]
     json.dumps(figures, allow_nan=False)
+
+
+def test_memory_is_measured() -> None:
+    """Epochs go to a server of its own; its memory and that of its worker are seen, and do not explode."""
+    use = measure_memory(1_600, workers=1)
+    assert use.epochs == 1_600
+    assert 100.0 < use.warm_mib < 1000.0
+    assert use.growth_mib < 64.0
+
+
+def test_the_service_starts_soon_and_without_the_ray_tracer(database: str, tmp_path: Path) -> None:
+    """Where Mitsuba, Dr.Jit and Sionna cannot be imported it is ready within 2 s, at the best of tries."""
+    for name in ("mitsuba", "drjit", "sionna"):
+        (tmp_path / f"{name}.py").write_text("raise ImportError('not installed here')\n")
+    taken = []
+    for _ in range(5):
+        with Server(database, path=(tmp_path,)) as server, Client(server.url) as client:
+            taken.append(server.start_s)
+            assert list(client.sessions()) == []
+        if taken[-1] < 2.0:
+            break
+    assert min(taken) < 2.0
