@@ -23,6 +23,7 @@ from estimator.slam.features import wall_side
 __all__ = ["Bank", "Line", "find_line", "wall_bank"]
 
 Array = NDArray[np.float64]
+_TRUST = 0.5  # in a track's likelihood of a bearing: its errors are alike from epoch to epoch
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +123,7 @@ def _densest(points: Array, now: int, config: GaussianConfig) -> Line | None:
 def wall_bank(
     line: Line,
     position: Array,
+    position_std: Array,
     device: Array,
     walls: Array,
     spans: Array,
@@ -135,6 +137,8 @@ def wall_bank(
         The paths.
     position : ndarray, shape (N, 2)
         The agent at the line's epochs, gauge frame, metres.
+    position_std : ndarray, shape (N,)
+        Its standard deviation per axis, metres.
     device : ndarray, shape (4,)
         The anchor in the state vector: position, squared height difference, clock bias.
     walls : ndarray, shape (L, 2)
@@ -150,7 +154,7 @@ def wall_bank(
     unit = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     here = position[-1]
     reach = np.full(bearing.size, flat[-1])
-    variance = line.std_m**2 + 0.05**2  # the track's own error
+    variance = line.std_m**2 + position_std**2
     for _ in range(8):  # best distance of the virtual anchor on each bearing
         offset = here + reach[:, None] * unit - position[:, None, :]  # (N, B, 2)
         distance = np.linalg.norm(offset, axis=-1)
@@ -178,7 +182,7 @@ def wall_bank(
         jacobian = _vrp_by_image(image[i], anchor)
         mean.append(vrp[i])
         covariance.append(jacobian @ spread @ jacobian.T + 0.05**2 * np.eye(2))
-    log_weight = -(cost[index] - cost[index].min())
+    log_weight = -_TRUST * (cost[index] - cost[index].min())
     return Bank(np.array(mean), np.array(covariance), log_weight)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -135,6 +135,15 @@ class GaussianConfig:
                 raise ConfigurationError(
                     f"GaussianConfig.{name}: expected less than 1, got {getattr(self, name)}"
                 )
+
+    def widened(self) -> GaussianConfig:
+        """The same models with room for more hypotheses."""
+        return replace(
+            self,
+            start_attempts=3 * self.start_attempts,
+            max_hypotheses=4 * self.max_hypotheses,
+            prune_nats=1.5 * self.prune_nats,
+        )
 
     @property
     def clutter_density(self) -> float:

@@ -9,16 +9,18 @@ off and taken up anywhere.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.measurements import Epoch, GaussianVrp, MeasurementSet
+from estimator.errors import InputError
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.slam.config import GaussianConfig
 from estimator.slam.estimate import Estimate, estimate
 from estimator.slam.gaussian import step
+from estimator.slam.methods import METHODS, Method
 from estimator.slam.start import start
 from estimator.slam.state import GaussianState, load_state, save_state
 
@@ -92,22 +94,52 @@ class GaussianEngine:
     ----------
     config : GaussianConfig
         Models and limits.
+    method : Method
+        What is known and sensed.
     """
 
     config: GaussianConfig
+    method: Method = METHODS["hybrid"]
     name: str = "gaussian"
 
+    @property
+    def models(self) -> GaussianConfig:
+        """The configuration; where no wall is sensed at the start, walls are confirmed later.
+
+        The first walls are born from a track that only lines of sight have told, of which a
+        mirror image explains most paths nearly as well.
+        """
+        if self.method.walls:
+            return self.config
+        return replace(
+            self.config,
+            confirm_support=2 * self.config.confirm_support,
+            confirm_weight=1.0 - 0.25 * (1.0 - self.config.confirm_weight),
+        )
+
     def start(self, prior: Prior, rng: np.random.Generator) -> GaussianState:
-        """See :func:`estimator.slam.start.start`."""
-        return start(prior.walls, prior.anchor_names, prior.carrier_hz, self.config)
+        """See :func:`estimator.slam.start.start`; raises InputError if the method lacks known anchors."""
+        known = self.method.anchors == "known"
+        if known and prior.anchors_m is None:
+            raise InputError(f"method {self.method.name}: expected known anchors, the measurements have none")
+        return start(
+            prior.walls if self.method.walls else (),
+            prior.anchor_names,
+            prior.carrier_hz,
+            self.models,
+            prior.anchors_m if known else None,
+        )
 
     def step(self, state: GaussianState, epoch: Epoch, rng: np.random.Generator) -> GaussianState:
-        """See :func:`estimator.slam.gaussian.step`."""
-        return step(state, epoch, self.config, rng)
+        """See :func:`estimator.slam.gaussian.step`; a method that hears no paths gets none."""
+        if not self.method.paths:
+            silent = AnchorPaths(np.empty(0), np.empty(0))
+            epoch = replace(epoch, paths=(silent,) * len(epoch.paths))
+        return step(state, epoch, self.models, rng)
 
     def estimate(self, state: GaussianState) -> Estimate:
         """See :func:`estimator.slam.estimate.estimate`."""
-        return estimate(state, self.config)
+        return estimate(state, self.models)
 
     def save(self, state: GaussianState) -> bytes:
         """See :func:`estimator.slam.state.save_state`."""

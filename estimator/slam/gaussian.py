@@ -21,7 +21,7 @@ from estimator.slam.births import find_line, wall_bank
 from estimator.slam.config import GaussianConfig
 from estimator.slam.hypotheses import tidy
 from estimator.slam.locate import locate_anchors
-from estimator.slam.memory import remember, widen_spans
+from estimator.slam.memory import clutter_density, remember, widen_spans
 from estimator.slam.motion import predict_motion
 from estimator.slam.paths import PathTable, stack_paths
 from estimator.slam.slots import judge, open_slot
@@ -32,6 +32,7 @@ from estimator.slam.update import correct
 __all__ = ["step"]
 
 Array = NDArray[np.float64]
+_FIRST_EPOCHS = 8  # in which an unknown clock bias leaves more places of the anchors open
 
 
 def step(
@@ -71,6 +72,8 @@ def step(
                 f"at {state.time_s} s"
             )
         state = _predict(state, epoch.time_s - state.time_s, config)
+    if config.clock_bias_std_m > 0.0 and len(state.trail) < _FIRST_EPOCHS:
+        config = config.widened()
     state = replace(state, epoch=epoch.index, time_s=epoch.time_s)
     paths = stack_paths(epoch, state.carrier_hz)
     state, explained = _correct(state, paths, config)
@@ -103,6 +106,7 @@ def _correct(state: GaussianState, paths: PathTable, config: GaussianConfig) -> 
         paths.turned(-state.bearing_rad),
         state.layout,
         config,
+        clutter_density(state, config),
     )
     rows = rows.take(done.parent)
     weight = rows.log_weight + done.log_evidence
@@ -131,9 +135,9 @@ def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:
         return state
     mean, present = rows.mean[best], rows.present[best]
     anchor = mean[state.layout.anchor(line.anchor)]
-    track = state.trail[np.searchsorted(state.trail[:, 0], line.epoch), 1:3]
+    trail = state.trail[np.searchsorted(state.trail[:, 0], line.epoch)]
     walls = mean[state.layout.walls].reshape(-1, 2)[present]
-    bank = wall_bank(line, track, anchor, walls, state.slots.span_m[present], config)
+    bank = wall_bank(line, trail[:, 1:3], trail[:, 3], anchor, walls, state.slots.span_m[present], config)
     if bank is None:
         return state
     state, slot = open_slot(state)

@@ -28,6 +28,7 @@ __all__ = ["locate_anchors"]
 
 Array = NDArray[np.float64]
 _BIAS_STEP_M = 1.0  # spacing of the clock biases that are tried
+_MOST_BIASES = 10  # searched for further anchors
 _STRIDE = 4  # epochs between those of a window that are searched
 _RIVAL_LOG_PRIOR = -3.0  # log odds that a located anchor is elsewhere after all
 _PRIOR_STD_M = 10.0  # of an anchor started from one epoch, whose paths all enter the joint Gaussian
@@ -55,25 +56,59 @@ def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfi
         located = waiting.size == 0
         if located and not _doubtful(state, k, config):
             continue
-        rows = np.array([state.rows.best]) if located else waiting
-        first = int(rows[np.argmax(state.rows.log_weight[rows])])
-        centres, batch, walls = _gather(state, paths, k, first, config)
-        found = _search(state, k, first, centres, batch, walls, config)
-        now = centres.epoch == state.epoch
-        epochs = np.unique(batch.epoch).size
-        fresh = np.sum((found.label >= 0) & now & (centres.bounces < 2), axis=1)
-        enough = (found.matches >= config.start_matches * min(epochs, 2)) & (fresh >= 2)
-        if located:
-            here = state.rows.mean[state.rows.best, state.layout.anchor(k)][None, :2]
-            rival = np.linalg.norm(found.mean_m - here, axis=1) > config.restart_distance_m
-            bias = state.rows.mean[first, state.layout.bias(k)]
-            shifted = replace(batch, length_m=np.maximum(batch.length_m - bias, 1e-3))
-            enough &= rival & (found.log_evidence > evidence_at(here, centres, shifted, walls, config)[0])
-        if enough.any():
-            chosen = Candidates(*(getattr(found, entry.name)[enough] for entry in fields(found)))
-            forked = _fork(state, paths, k, rows, chosen, centres, epochs > 1, config)
-            state = replace(state, rows=tidy(forked, config))
+        groups = (
+            [np.array([state.rows.best])] if located else _alike(state.rows, waiting, state.layout.bias(k))
+        )
+        forks = [_forks(state, paths, k, group, located, config) for group in groups]
+        if any(fork is not None for fork in forks):
+            rows = state.rows
+            for fork in forks:
+                rows = rows if fork is None else rows.joined(fork)
+            state = replace(state, rows=tidy(rows, config))
     return state
+
+
+def _alike(rows: Rows, waiting: NDArray[np.int64], bias: int) -> list[NDArray[np.int64]]:
+    """The rows that wait for an anchor, likeliest first, in groups that agree on its clock bias.
+
+    Anchors with a common clock: where the first one stands tells the bias, and each of its places
+    another one.
+    """
+    groups: list[NDArray[np.int64]] = []
+    left = waiting[np.argsort(-rows.log_weight[waiting], kind="stable")]
+    while left.size and len(groups) < _MOST_BIASES:
+        near = np.abs(rows.mean[left, bias] - rows.mean[left[0], bias]) < _BIAS_STEP_M
+        groups.append(left[near])
+        left = left[~near]
+    return groups
+
+
+def _forks(
+    state: GaussianState,
+    paths: PathTable,
+    k: int,
+    rows: NDArray[np.int64],
+    located: bool,
+    config: GaussianConfig,
+) -> Rows | None:
+    """New rows, one for each of ``rows`` and each place of anchor ``k``; None if none is found."""
+    first = int(rows[np.argmax(state.rows.log_weight[rows])])
+    centres, batch, walls = _gather(state, paths, k, first, config)
+    found = _search(state, k, first, centres, batch, walls, config)
+    now = centres.epoch == state.epoch
+    epochs = np.unique(batch.epoch).size
+    fresh = np.sum((found.label >= 0) & now & (centres.bounces < 2), axis=1)
+    enough = (found.matches >= config.start_matches * min(epochs, 2)) & (fresh >= 2)
+    if located:
+        here = state.rows.mean[state.rows.best, state.layout.anchor(k)][None, :2]
+        rival = np.linalg.norm(found.mean_m - here, axis=1) > config.restart_distance_m
+        bias = state.rows.mean[first, state.layout.bias(k)]
+        shifted = replace(batch, length_m=np.maximum(batch.length_m - bias, 1e-3))
+        enough &= rival & (found.log_evidence > evidence_at(here, centres, shifted, walls, config)[0])
+    if not enough.any():
+        return None
+    chosen = Candidates(*(getattr(found, entry.name)[enough] for entry in fields(found)))
+    return _fork(state, paths, k, rows, chosen, centres, epochs > 1, config)
 
 
 def _search(
@@ -105,7 +140,9 @@ def _search(
 
 def _doubtful(state: GaussianState, k: int, config: GaussianConfig) -> bool:
     """Whether so much of a located anchor goes unexplained that its place should be checked."""
-    if state.epoch % 4 or len(state.trail) < 4:
+    place = state.layout.anchor_xy(k)
+    known = not state.rows.covariance[state.rows.best, place, place].any()
+    if known or state.epoch % 4 or len(state.trail) < 4:
         return False
     loose = state.loose
     count = np.sum(loose[:, 1] == k)
@@ -121,7 +158,7 @@ def _gather(
     mean, covariance = rows.mean[row], rows.covariance[row]
     slots = np.flatnonzero(rows.present[row] & state.slots.confirmed)
     walls = mean[layout.walls].reshape(-1, 2)[slots]
-    spread = np.array([covariance[layout.wall(s), layout.wall(s)] for s in slots.tolist()])
+    spread = np.array([covariance[layout.wall(s), layout.wall(s)] for s in slots.tolist()]).reshape(-1, 2, 2)
     n = int(paths.valid[k].sum())
     variance = 0.5 * float(np.trace(covariance[:2, :2]))
     centres = [images_of_agent(mean[:2], variance, walls, spread, slots, state.epoch)]
@@ -156,7 +193,7 @@ def _fork(
     windowed: bool,
     config: GaussianConfig,
 ) -> Rows:
-    """``rows`` split into one row per candidate place of anchor ``k`` and one as it is.
+    """One new row for each of ``rows`` and each candidate place of anchor ``k``.
 
     The candidates' own covariances are not believed: they come from walls held
     fixed. Each starts wide, and the labels found take this epoch's paths into the
@@ -172,7 +209,11 @@ def _fork(
     new.located[:, k] = True
     new.log_weight[...] += _RIVAL_LOG_PRIOR if located else found.log_evidence[candidate]
     new.mean[:, xy] = found.mean_m[candidate]
-    new.mean[:, b] = found.bias_m[candidate]
+    shift = found.bias_m[candidate] - new.mean[:, b]
+    scale = np.maximum(new.covariance[:, b, b], 1e-12)
+    for other in (layout.bias(j) for j in range(layout.anchors)):  # clocks that agree move together
+        share = new.covariance[:, other, b] / scale
+        new.mean[:, other] += (1.0 if other == b else share) * shift
     if located:  # what was known of the anchor goes with its place
         place = slice(xy.start, w + 1)
         new.covariance[:, place, :] = 0.0
@@ -197,4 +238,4 @@ def _fork(
         np.where(known, length - prediction.length_m[:, k, feature], 0.0),
         np.where(known, std**2, 0.5 / np.pi),
     )
-    return state.rows.joined(replace(new, mean=mean, covariance=covariance))
+    return replace(new, mean=mean, covariance=covariance)

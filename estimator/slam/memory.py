@@ -13,9 +13,24 @@ from estimator.slam.paths import PathTable
 from estimator.slam.state import GaussianState
 from estimator.slam.update import predicted_variance
 
-__all__ = ["remember", "widen_spans"]
+__all__ = ["clutter_density", "remember", "widen_spans"]
 
 Array = NDArray[np.float64]
+_UNKNOWN_PATHS = 6.0  # expected of an anchor beyond clutter, before any wall is known
+_PRIOR_EPOCHS = 4.0  # that this expectation weighs
+
+
+def clutter_density(state: GaussianState, config: GaussianConfig) -> Array:
+    """Intensity (K,) per metre of paths that no known feature gives: clutter, and walls not yet found.
+
+    Recent epochs tell how many there are. With no wall on the map, most paths are such; they
+    must not be taken for the line of sight.
+    """
+    expected = config.clutter_mean + (0.0 if state.slots.confirmed.any() else _UNKNOWN_PATHS)
+    epochs = len(state.trail)
+    counts = np.bincount(state.loose[:, 1].astype(np.int64), minlength=state.layout.anchors)
+    rate = (counts + _PRIOR_EPOCHS * expected) / (epochs + _PRIOR_EPOCHS)
+    return np.asarray(np.maximum(rate, config.clutter_mean) / config.region_m + 1e-12)
 
 
 def widen_spans(state: GaussianState, row: int, heard: Array) -> Array:

@@ -78,8 +78,10 @@ PAIRS = (
     ("hybrid", "gaussian"),
     ("hybrid", "particle"),
     ("va", "particle"),
+    ("mva", "gaussian"),
     ("mva", "particle"),
     ("passive", "particle"),
+    ("active", "gaussian"),
     ("active", "particle"),
 )
 

@@ -73,7 +73,7 @@ def engine_for(method: str, engine: str, config: Config) -> Engine:
     if isinstance(config, ParticleConfig) and engine == "particle":
         return ParticleEngine(config, chosen)
     if isinstance(config, GaussianConfig) and engine == "gaussian":
-        return GaussianEngine(config)
+        return GaussianEngine(config, chosen)
     raise ConfigurationError(
         f"config: expected a {_CONFIGS[engine].__name__} for engine {engine}, got a {type(config).__name__}"
     )

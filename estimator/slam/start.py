@@ -1,8 +1,9 @@
-"""The state before the first epoch, from the walls sensed at the start.
+"""The state before the first epoch, from the walls sensed at the start or from known anchors.
 
-The reference wall (the one whose bearing is known best) defines the gauge frame
-(:mod:`estimator.slam.layout`): its bearing error becomes the state ``theta``, the
-rotation of the whole map about RP, which passive measurements cannot see.
+If the anchors are known, they fix the frame. If not, the reference wall (the one whose
+bearing is known best) defines the gauge frame (:mod:`estimator.slam.layout`): its
+bearing error becomes the state ``theta``, the rotation of the whole map about RP, which
+passive measurements cannot see.
 """
 
 from __future__ import annotations
@@ -26,21 +27,27 @@ Array = NDArray[np.float64]
 
 
 def start(
-    walls: Sequence[GaussianVrp], anchor_names: Sequence[str], carrier_hz: float, config: GaussianConfig
+    walls: Sequence[GaussianVrp],
+    anchor_names: Sequence[str],
+    carrier_hz: float,
+    config: GaussianConfig,
+    anchors_m: Array | None = None,
 ) -> GaussianState:
     """The state before the first epoch.
 
     Parameters
     ----------
     walls : sequence of GaussianVrp
-        Walls sensed at the start, estimator's frame; at least one, for it fixes the
-        direction of the map.
+        Walls sensed at the start, estimator's frame; at least one if the anchors are not
+        known, for it fixes the direction of the map.
     anchor_names : sequence of str
         The anchors that epochs will report on, in order.
     carrier_hz : float
         Carrier frequency, hertz.
     config : GaussianConfig
         Models.
+    anchors_m : ndarray, shape (K, 2), optional
+        The anchors, estimator's frame, if they are known.
 
     Returns
     -------
@@ -49,27 +56,31 @@ def start(
     Raises
     ------
     InputError
-        If no wall or no anchor is given.
+        If no anchor is given, or neither a wall nor the anchors' places.
     """
-    if not walls or not anchor_names:
+    if not anchor_names or not (walls or anchors_m is not None):
         raise InputError(
-            "hybrid SLAM: expected at least one wall sensed at the start and one anchor, "
-            f"got {len(walls)} walls and {len(anchor_names)} anchors"
+            "SLAM: expected at least one anchor, and a wall sensed at the start or known anchors, "
+            f"got {len(anchor_names)} anchors and {len(walls)} walls"
         )
     walls = sorted(walls, key=_bearing_std)
     layout = Layout(len(anchor_names), len(walls))
-    reference = walls[0].mean_m
-    bearing = float(np.arctan2(reference[1], reference[0]))
+    bearing = 0.0
+    if anchors_m is None:
+        reference = walls[0].mean_m
+        bearing = float(np.arctan2(reference[1], reference[0]))
     to_gauge = rotation_matrix(-bearing)
-    vrps = np.array([wall.mean_m for wall in walls]) @ to_gauge.T
-    vrps[0, 1] = 0.0
+    vrps = np.array([wall.mean_m for wall in walls]).reshape(-1, 2) @ to_gauge.T
 
     mean = np.zeros(layout.size)
+    covariance = _wall_prior(walls, vrps, to_gauge, layout, turning=anchors_m is None)
+    if anchors_m is None:
+        vrps[0, 1] = 0.0
     mean[layout.walls] = vrps.ravel()
-    covariance = _wall_prior(walls, vrps, to_gauge, layout)
     covariance[2:4, 2:4] = config.velocity_std_m_s**2 * np.eye(2)
     for k in range(layout.anchors):
-        mean[layout.anchor(k)] = NOWHERE_M, 0.0, config.height2_mean_m2, 0.0
+        place = (NOWHERE_M, 0.0) if anchors_m is None else anchors_m[k]
+        mean[layout.anchor(k)] = *place, config.height2_mean_m2, 0.0
         covariance[layout.height2(k), layout.height2(k)] = config.height2_std_m2**2
     biases = [layout.bias(k) for k in range(layout.anchors)]
     together = np.ones((len(biases), len(biases))) if config.clock_bias_common else np.eye(len(biases))
@@ -80,7 +91,7 @@ def start(
         log_weight=np.zeros(1),
         mean=mean[None],
         covariance=covariance[None],
-        located=np.zeros((1, layout.anchors), dtype=bool),
+        located=np.full((1, layout.anchors), anchors_m is not None),
         present=np.ones((1, count), dtype=bool),
         visibility=np.tile(fresh_visibility(layout), (1, layout.anchors, 1)),
         support=np.zeros((1, count), dtype=np.int64),
@@ -108,21 +119,26 @@ def _bearing_std(wall: GaussianVrp) -> float:
     return float(np.sqrt(tangent @ wall.covariance_m2 @ tangent / square))
 
 
-def _wall_prior(walls: Sequence[GaussianVrp], vrps: Array, to_gauge: Array, layout: Layout) -> Array:
+def _wall_prior(
+    walls: Sequence[GaussianVrp], vrps: Array, to_gauge: Array, layout: Layout, turning: bool
+) -> Array:
     """Covariance (n, n) of theta and the VRPs in the gauge frame.
 
-    An error of the reference wall's bearing turns all the others the other way.
+    If the first wall is the gauge's reference (``turning``), an error of its bearing turns all
+    the others the other way.
     """
     count = len(walls)
     errors = np.zeros((2 * count, 2 * count))
     for i, wall in enumerate(walls):
         errors[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = to_gauge @ wall.covariance_m2 @ to_gauge.T
     linear = np.zeros((layout.size, 2 * count))
-    linear[layout.THETA, 1] = 1.0 / vrps[0, 0]
+    if turning:
+        linear[layout.THETA, 1] = 1.0 / vrps[0, 0]
     for i in range(count):
         rows = layout.wall(i)
         linear[rows, 2 * i : 2 * i + 2] += np.eye(2)
         quarter_turn = np.array([-vrps[i, 1], vrps[i, 0]])
         linear[rows, :] -= np.outer(quarter_turn, linear[layout.THETA])
-    linear[layout.wall(0).start + 1] = 0.0
+    if turning:
+        linear[layout.wall(0).start + 1] = 0.0
     return np.asarray(linear @ errors @ linear.T)

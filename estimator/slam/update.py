@@ -85,6 +85,7 @@ def correct(
     paths: PathTable,
     layout: Layout,
     config: GaussianConfig,
+    clutter: Array | float | None = None,
 ) -> Correction:
     """Take one epoch of path lengths into all rows.
 
@@ -102,16 +103,19 @@ def correct(
         Positions in the state vector.
     config : GaussianConfig
         Models.
+    clutter : ndarray, shape (K,), optional
+        Intensity per metre of paths that no feature gives; by default the configuration's.
 
     Returns
     -------
     Correction
     """
+    clutter = np.broadcast_to(config.clutter_density if clutter is None else clutter, layout.anchors)
     variance = np.maximum(paths.std_m, config.range_std_m) ** 2
     prediction = predict_paths(mean, layout)
     active = active & prediction.possible
     chance = np.where(active, visibility * config.detection_probability, 0.0)
-    ratio, _, innovation = _ratios(prediction, covariance, chance, paths, variance, layout, config)
+    ratio, _, innovation = _ratios(prediction, covariance, chance, clutter, paths, variance, layout, config)
     ratio = ratio * azimuth_ratio(mean, covariance, paths, layout)
 
     # first pass: what belief propagation does not doubt
@@ -120,7 +124,7 @@ def correct(
     chosen = np.argmax(sure, axis=-1)
     first = np.take_along_axis(innovation, chosen[..., None], axis=-1)[..., 0]
     noise = variance[np.arange(layout.anchors)[None, :, None], chosen]
-    prior = np.log(np.maximum(chance, 1e-12) / config.clutter_density)
+    prior = np.log(np.maximum(chance, 1e-12) / clutter[:, None])
     log_evidence = np.sum(np.where(taken, prior, 0.0), axis=(1, 2))
     mean, covariance, log_density = _take(mean, covariance, prediction.jacobian, first, noise, taken)
     log_evidence = log_evidence + log_density
@@ -129,7 +133,9 @@ def correct(
     # second pass: everything else, predicted again
     prediction = predict_paths(mean, layout)
     rest = np.where(taken, 0.0, chance)
-    ratio, spread, innovation = _ratios(prediction, covariance, rest, paths, variance, layout, config)
+    ratio, spread, innovation = _ratios(
+        prediction, covariance, rest, clutter, paths, variance, layout, config
+    )
     ratio = ratio * azimuth_ratio(mean, covariance, paths, layout)
     ratio = np.where(used[:, :, None, :], 0.0, ratio)
     association = associate(ratio)
@@ -213,6 +219,7 @@ def _ratios(
     prediction: Prediction,
     covariance: Array,
     chance: Array,
+    clutter: Array,
     paths: PathTable,
     variance: Array,
     layout: Layout,
@@ -227,7 +234,7 @@ def _ratios(
     known[..., 1 + layout.slots :] = spread[..., 1 + layout.slots :] < config.pair_gate_std_m**2
     gated = paths.valid[:, None, :] & (distance < config.gate_sigma**2) & ((chance > 0.0) & known)[..., None]
     density = np.exp(-0.5 * distance) / np.sqrt(2.0 * np.pi * s)
-    odds = chance / ((1.0 - chance) * config.clutter_density)
+    odds = chance / ((1.0 - chance) * clutter[:, None])
     return np.where(gated, odds[..., None] * density, 0.0), spread, innovation
 
 

@@ -37,7 +37,9 @@ class Room:
         """True VRPs relative to the start."""
         return vrp_of_line(self.walls[:, 0], self.walls[:, 1], self.track[0]) - self.track[0]
 
-    def measure(self, seed: int, epochs: int | None = None, **model: float) -> MeasurementSet:
+    def measure(
+        self, seed: int, epochs: int | None = None, know_anchors: bool = False, **model: float
+    ) -> MeasurementSet:
         """A simulated run with the paper's active-sensing variances."""
         return measure_scene(
             self.walls[:, 0],
@@ -48,6 +50,7 @@ class Room:
             28e9,
             SimulationConfig(**model),
             np.random.default_rng(seed),
+            know_anchors=know_anchors,
         )
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from estimator.geometry import mirror_in_wall
-from estimator.slam import run_slam
+from estimator.slam import GaussianEngine, Prior, epoch_rng, run_slam
+from estimator.slam.run import config_for
 from estimator.slam.sweeps import predict_flashes
 from tests.estimator.slam.test_features import state_of
 
@@ -64,3 +65,14 @@ def test_a_sweep_finds_a_wall_that_was_not_there(room):
     result = run_slam(measured)
     found = result.wall_mean_m[-1][result.wall_valid[-1]]
     assert np.linalg.norm(found - room.vrps[4], axis=1).min() < 3.0
+
+
+def test_a_common_clock_stays_common(room):
+    """However an anchor's start shifts its clock, the others shift with it, in every hypothesis."""
+    measured = room.measure(3, clock_bias_m=10.0, epochs=3)
+    engine = GaussianEngine(config_for(measured))
+    state = engine.start(Prior.of(measured), epoch_rng(0, -1))
+    for epoch in measured.epochs:
+        state = engine.step(state, epoch, epoch_rng(0, epoch.index))
+        biases = state.rows.mean[:, [state.layout.bias(0), state.layout.bias(1)]]
+        np.testing.assert_allclose(biases[:, 0], biases[:, 1], atol=1e-6)

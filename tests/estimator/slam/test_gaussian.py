@@ -98,6 +98,48 @@ def test_a_step_leaves_its_state_alone(room):
         state = after
 
 
+def test_known_anchors_need_no_echoes(room):
+    """`mva`: with the anchors' places and no sensed wall, all walls due and the track are found."""
+    errors, scores = [], []
+    for seed in (2, 3, 4):
+        measured = room.measure(seed, know_anchors=True)
+        result = run_slam(measured, "mva", "gaussian", seed)
+        truth = room.track - room.track[0]
+        errors.append(np.linalg.norm(result.agent_mean[:, :2] - truth, axis=1))
+        error = result.agent_mean[1:, :2] - truth[1:]
+        spread = result.agent_covariance[1:, :2, :2]
+        scores.append(np.einsum("ti,tij,tj->t", error, np.linalg.inv(spread), error) / 2.0)
+        final = result.wall_mean_m[-1][result.wall_valid[-1]]
+        away = np.linalg.norm(final[:, None] - room.vrps[None, :5], axis=-1)
+        assert np.all(away.min(axis=0) < 1.0)
+        assert np.all(away.min(axis=1) < 1.0)
+    assert np.mean(np.array(errors)[:, 30:]) < 0.15  # the bound is 0.085 at the end
+    assert 0.3 < np.mean(scores) < 2.5
+    lacking = room.measure(2, epochs=2)
+    with pytest.raises(InputError, match="method mva: expected known anchors, the measurements have none"):
+        run_slam(lacking, "mva", "gaussian")
+
+
+def test_echoes_alone(room):
+    """`active`: paths change nothing; without sweeps the agent is soon anywhere, with them it is followed."""
+    measured = room.measure(5, epochs=40, sweep_every=1)
+    truth = room.track[:40] - room.track[0]
+    followed = run_slam(measured, "active", "gaussian")
+    assert not followed.anchor_valid.any()
+    assert np.linalg.norm(followed.agent_mean[:, :2] - truth, axis=1).max() < 3.0
+    deaf = replace(
+        measured,
+        epochs=tuple(
+            replace(epoch, paths=(AnchorPaths(np.empty(0), np.empty(0)),) * 2) for epoch in measured.epochs
+        ),
+    )
+    np.testing.assert_array_equal(run_slam(deaf, "active", "gaussian").agent_mean, followed.agent_mean)
+    blind = replace(measured, epochs=tuple(replace(epoch, sweep=()) for epoch in measured.epochs))
+    lost = run_slam(blind, "active", "gaussian")
+    assert np.all(np.diff(lost.agent_covariance[:, 0, 0]) > 0.0)
+    assert lost.agent_covariance[-1, 0, 0] > 100.0 * followed.agent_covariance[-1, 0, 0]
+
+
 def test_an_anchor_that_is_heard_late_is_located_late(room):
     """An anchor silent for thirty epochs starts from a window and ends as good as the other."""
     measured = room.measure(53, epochs=150)

@@ -72,7 +72,31 @@ def test_the_reference_wall_has_no_free_bearing():
 
 def test_a_start_needs_walls_and_anchors():
     """Without a wall or an anchor there is an error that says so."""
-    with pytest.raises(InputError, match="expected at least one wall .* got 0 walls and 1 anchors"):
+    with pytest.raises(
+        InputError, match="a wall sensed at the start or known anchors, got 1 anchors and 0 walls"
+    ):
         start([], ("a",), 28e9, GaussianConfig())
-    with pytest.raises(InputError, match="got 3 walls and 0 anchors"):
+    with pytest.raises(InputError, match="got 0 anchors and 3 walls"):
         start(walls_of(), (), 28e9, GaussianConfig())
+
+
+def test_known_anchors_fix_the_frame():
+    """With known anchors nothing turns: theta, the anchors and their frame are certain, walls as sensed."""
+    anchors = np.array([[3.0, 4.0], [-5.0, 1.0]])
+    state = start(walls_of(), ("a", "b"), 28e9, GaussianConfig(), anchors)
+    layout, mean, covariance = state.layout, state.rows.mean[0], state.rows.covariance[0]
+    assert state.bearing_rad == 0.0
+    assert state.rows.located.all()
+    assert covariance[layout.THETA, layout.THETA] == 0.0
+    for k in range(2):
+        np.testing.assert_array_equal(mean[layout.anchor_xy(k)], anchors[k])
+        assert not covariance[layout.anchor_xy(k)].any()
+    sensed = sorted((tuple(wall.mean_m), wall.covariance_m2) for wall in walls_of())
+    slots = sorted(
+        (tuple(mean[layout.wall(s)]), covariance[layout.wall(s), layout.wall(s)]) for s in range(layout.slots)
+    )
+    for (place, spread), (found, believed) in zip(sensed, slots, strict=True):
+        np.testing.assert_allclose(found, place)
+        np.testing.assert_allclose(believed, spread)
+    nothing = start([], ("a", "b"), 28e9, GaussianConfig(), anchors)
+    assert nothing.layout.slots == 0
