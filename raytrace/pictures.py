@@ -65,7 +65,7 @@ def style() -> Iterator[None]:
 
 
 def draw_plan(plan: FloorPlan) -> Figure:
-    """Draw walls by material, anchors, and the agent's track.
+    """Draw walls by material, anchors, targets, and the agents' tracks.
 
     Returns
     -------
@@ -261,11 +261,18 @@ def _draw_walls(axes: Axes, plan: FloorPlan, colour: str | None = None) -> None:
 
 
 def _draw_stations(axes: Axes, plan: FloorPlan, track: bool = True) -> None:
-    """Anchors and, if wanted, the agent's track."""
+    """Anchors, targets and, if wanted, the agents' tracks."""
     if track:
         points = plan.track()[:, :2]
         axes.plot(*points.T, color=COLOURS["agent"], linewidth=1.4, label="track", zorder=4)
         axes.plot(*points[0], marker="o", color=COLOURS["agent"], markerfacecolor="white", zorder=5)
+        for name, alone in list(plan.by_agent().items())[1:]:
+            points = alone.track()[:, :2]
+            axes.plot(*points.T, linewidth=1.4, linestyle="--", label=f"track of {name}", zorder=4)
+            axes.plot(*points[0], marker="o", color=COLOURS["agent"], markerfacecolor="white", zorder=5)
+    if plan.targets:
+        x, y = np.array([target.position_m[:2] for target in plan.targets]).T
+        axes.plot(x, y, "s", color=COLOURS["muted"], markersize=5.0, label="target", zorder=5)
     for row, anchor in enumerate(plan.anchors):
         x, y, _ = anchor.position_m
         label = "anchor" if row == 0 else None

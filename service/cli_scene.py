@@ -51,7 +51,8 @@ def check(scene: Scene, as_json: Json = False) -> None:
     for name, value in summary.items():
         if name == "warnings":
             continue
-        text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value
+        texts = [f"{k} {v}" for k, v in value.items()] if isinstance(value, dict) else value
+        text = ", ".join(texts) if isinstance(texts, list) else texts
         _say(f"{name:<14} {text}")
     for warning in summary["warnings"]:
         _say(f"warning        {warning}")
