@@ -30,6 +30,7 @@ from raytrace.floorplan import FloorPlan, load_floorplan
 from raytrace.journal import require_place
 from raytrace.links import Part
 from raytrace.output import Output
+from raytrace.plan_errors import one_line
 from raytrace.shard_task import Progress
 from raytrace.workers import Workers
 
@@ -80,10 +81,7 @@ def load_campaign(path: Path) -> Campaign:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise FileFormatError(f"{path}: expected a campaign in TOML, could not read it: {error}") from error
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        field = ".".join(str(part) for part in first["loc"])
-        said, came = first["msg"].removeprefix("Value error, "), repr(first["input"])[:60]
-        raise FileFormatError(f"{path}: {field}: {said}, got {came}") from error
+        raise FileFormatError(f"{path}: {one_line(error)}") from error
 
 
 def run_campaign(

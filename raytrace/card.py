@@ -100,12 +100,24 @@ def data_card(manifest: Mapping[str, Any], shards: Sequence[Mapping[str, Any]]) 
                 ],
             ),
             "",
+            *_unchecked(passive),
             "Median SNR of the line of sight over all tones: "
             + ("none" if snr is None else f"{snr:g} dB")
             + ".",
             "",
         ]
     )
+
+
+def _unchecked(passive: Mapping[str, Any]) -> list[str]:
+    """What is told of paths that the image method does not know."""
+    if "refracted" not in passive:
+        return []
+    return [
+        f"Besides, {passive['refracted']} paths through walls and {passive['diffracted']} around corners",
+        "were found; nothing tells whether there are more.",
+        "",
+    ]
 
 
 def _table(head: Sequence[str], rows: Any) -> list[str]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from estimator.errors import InputError
-from raytrace.devices import Agent, Anchor, FurtherAgent, Name, Point2, Target
-from raytrace.links import Echo, Part, Positive, Radio, added
+from raytrace.devices import Agent, Anchor, FurtherAgent, Name, Target
+from raytrace.links import Echo, Part, Radio, added
 from raytrace.materials import permittivity, relative_permittivity
 from raytrace.plan_checks import PlanFault, check_plan
-from raytrace.surfaces import Material, ScatteringPattern
+from raytrace.plan_errors import one_line
+from raytrace.surfaces import Fraction, Material, ScatteringPattern, Slab, Wall
 from raytrace.trajectory import smoothed_track, travel_azimuths
 
 __all__ = [
@@ -46,30 +47,9 @@ __all__ = [
 FORMAT = "hapslam-floorplan"
 VERSION = 1
 
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
-
 
 class FloorPlanError(InputError):
     """A floor plan is missing, cannot be parsed, or describes something impossible."""
-
-
-class Wall(Part):
-    """A vertical wall: a segment of the plan, a single flat surface with the thickness of a slab."""
-
-    name: Name
-    from_m: Point2
-    to_m: Point2
-    height_m: Positive = 3.0
-    material: str = "concrete"
-    thickness_m: Positive = 0.2
-
-
-class Slab(Part):
-    """A floor or a ceiling over the whole plan; a plan without one has open air there."""
-
-    enabled: bool = True
-    material: str = "concrete"
-    thickness_m: Positive = 0.2
 
 
 class Tracing(Part):
@@ -302,7 +282,7 @@ def parse_floorplan(data: Mapping[str, Any], source: str = "floor plan") -> Floo
     try:
         plan = FloorPlan.model_validate(dict(data))
     except ValidationError as error:
-        raise FloorPlanError(f"{source}: {_one_line(error)}") from error
+        raise FloorPlanError(f"{source}: {one_line(error)}") from error
     try:
         check_plan(plan)
     except PlanFault as fault:
@@ -343,35 +323,3 @@ def _scene_folder() -> Path:
     """The installed package holds its scenes; a source tree has them at its root."""
     packaged = Path(str(resources.files("raytrace"))) / "scenes"
     return packaged if packaged.is_dir() else packaged.parent.parent / "scenes"
-
-
-def _one_line(error: ValidationError) -> str:
-    """The first fault of a pydantic error: field, what was expected, what came."""
-    faults = error.errors(include_url=False)
-    first = faults[0]
-    field = "".join(_field_parts(first["loc"]))
-    if first["type"] == "extra_forbidden":
-        text = f"{field}: expected only known keys, got the unknown key {first['loc'][-1]!r}"
-    elif first["type"] == "missing":
-        text = f"{field}: expected a value, it is missing"
-    else:
-        wanted = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-        wanted = wanted if wanted.startswith("expected") else f"expected {wanted[0].lower()}{wanted[1:]}"
-        came = "" if ", got " in wanted else f", got {_brief(first['input'])}"
-        text = f"{field}: {wanted}{came}"
-    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    return text + more
-
-
-def _field_parts(location: tuple[int | str, ...]) -> Iterator[str]:
-    """``("walls", 2, "height_m")`` as the pieces of ``walls[2].height_m``."""
-    for index, part in enumerate(location):
-        if isinstance(part, int):
-            yield f"[{part}]"
-        else:
-            yield f".{part}" if index else part
-
-
-def _brief(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

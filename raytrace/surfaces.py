@@ -1,4 +1,4 @@
-"""What surfaces of a plan are made of, beyond the materials of the ITU, and how rough ones scatter."""
+"""Walls and slabs of a plan, materials beyond those of the ITU, and how rough ones scatter."""
 
 from __future__ import annotations
 
@@ -6,12 +6,32 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from raytrace.links import NonNegative, Part
+from raytrace.devices import Name, Point2
+from raytrace.links import NonNegative, Part, Positive
 
-__all__ = ["Material", "ScatteringPattern"]
+__all__ = ["Fraction", "Material", "ScatteringPattern", "Slab", "Wall"]
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Exponent = Annotated[int, Field(ge=1, le=1000)]
+
+
+class Wall(Part):
+    """A vertical wall: a segment of the plan, a single flat surface with the thickness of a slab."""
+
+    name: Name
+    from_m: Point2
+    to_m: Point2
+    height_m: Positive = 3.0
+    material: str = "concrete"
+    thickness_m: Positive = 0.2
+
+
+class Slab(Part):
+    """A floor or a ceiling over the whole plan; a plan without one has open air there."""
+
+    enabled: bool = True
+    material: str = "concrete"
+    thickness_m: Positive = 0.2
 
 
 class Material(Part):

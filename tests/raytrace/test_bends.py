@@ -130,6 +130,8 @@ def test_datasets_mark_what_paths_do(tmp_path: Path) -> None:
     assert int((kinds == REFRACTION).any(axis=-1).sum()) == counts["refracted"]
     assert "interactions" not in next(without.shards("paths"))
     np.testing.assert_array_equal(with_bends.truth()["reflects"], without.truth()["reflects"])
+    assert f"{counts['refracted']} paths through walls" in (tmp_path / "bent" / "CARD.md").read_text()
+    assert "through walls" not in (tmp_path / "opaque" / "CARD.md").read_text()
     checked = verify(with_bends)
     assert checked.ok
     assert checked.found == counts["found"]

@@ -74,7 +74,7 @@ def test_every_combination_is_a_dataset(file: Path, tmp_path: Path, digests: Dig
         ("seeds = [3, 4]", "seeds = [3, 3]", "l-room-short-seed3 twice"),
         ("seeds = [3, 4]", "seeds = [-1]", "seeds.0"),
         ("seeds", "seed", "seed"),
-        ('name = "quiet"', 'name = "../quiet"', "setups.1.name"),
+        ('name = "quiet"', 'name = "../quiet"', r"setups\[1\]\.name"),
         ("scenes =", "scenes", "expected a campaign in TOML"),
     ],
 )
