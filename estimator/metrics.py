@@ -1,4 +1,4 @@
-"""Figures of merit: OSPA, MAE, RMSE, the error with rotation removed, NEES.
+"""Figures of merit: OSPA and its mean, MAE, RMSE, the error with rotation removed, NEES.
 
 Conventions: estimates and truths are metres in the same frame and end in an axis of
 length 2 (x, y). The reference point (RP) is the origin of that frame, which is what
@@ -15,6 +15,9 @@ Navigation" (2001), section 5.4, for NEES.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import zip_longest
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
@@ -28,6 +31,7 @@ __all__ = [
     "distances",
     "match",
     "mean_absolute_error",
+    "mospa",
     "nees",
     "nees_band",
     "ospa",
@@ -256,6 +260,37 @@ def ospa(estimate: ArrayLike, truth: ArrayLike, cutoff_m: float = 10.0, order: f
     rows, columns = linear_sum_assignment(gap)
     surplus = (larger - min(gap.shape)) * cutoff_m**order
     return float(((gap[rows, columns].sum() + surplus) / larger) ** (1.0 / order))
+
+
+def mospa(
+    estimates: Iterable[ArrayLike],
+    truths: Iterable[ArrayLike],
+    cutoff_m: float = 10.0,
+    order: float = 1.0,
+) -> float:
+    """Mean OSPA of several pairs of sets: of runs, or of the epochs of a run.
+
+    Parameters
+    ----------
+    estimates, truths : iterable of array_like, shapes (m, 2) and (n, 2)
+        Sets of points, metres; equally many of both, at least one.
+    cutoff_m, order
+        As in :func:`ospa`.
+
+    Returns
+    -------
+    float
+        Metres.
+
+    Raises
+    ------
+    InputError
+        If there are no sets, or not as many estimates as truths.
+    """
+    pairs = list(zip_longest(estimates, truths))
+    if not pairs or any(one is None for pair in pairs for one in pair):
+        raise InputError("estimates: expected as many sets as truths, and at least one")
+    return float(np.mean([ospa(estimate, truth, cutoff_m, order) for estimate, truth in pairs]))
 
 
 def _gaps(estimate: ArrayLike, truth: ArrayLike) -> Array:

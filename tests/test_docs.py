@@ -12,7 +12,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/conventions.md", "docs/datasets.md"]
+PAGES = [
+    "README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    "docs/conventions.md",
+    "docs/datasets.md",
+    "docs/estimator.md",
+]
 
 
 def blocks(page: str) -> Iterator[tuple[str, str]]:

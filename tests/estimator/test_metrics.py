@@ -17,6 +17,7 @@ from estimator.metrics import (
     distances,
     match,
     mean_absolute_error,
+    mospa,
     nees,
     nees_band,
     ospa,
@@ -77,6 +78,16 @@ def test_ospa_refuses_bad_input(arguments: tuple[object, ...], message: str) -> 
     """Bad cut-offs, orders and points are named."""
     with pytest.raises(InputError, match=message):
         ospa(*arguments)
+
+
+def test_mospa_is_the_mean_over_sets() -> None:
+    """The mean of the OSPA distances of each pair; sets must come in pairs."""
+    one, two = np.array([[0.0, 0.0]]), np.array([[3.0, 4.0]])
+    assert mospa([one, one], [one, two]) == pytest.approx(2.5)
+    assert mospa([one, np.zeros((0, 2))], [two, two], cutoff_m=4.0) == pytest.approx(4.0)
+    for estimates, truths in (([], []), ([one], [one, two])):
+        with pytest.raises(InputError, match="as many sets as truths"):
+            mospa(estimates, truths)
 
 
 def test_mean_errors_by_hand() -> None:
