@@ -16,6 +16,8 @@ from estimator.slam.update import predicted_variance
 __all__ = ["clutter_density", "remember", "widen_spans"]
 
 Array = NDArray[np.float64]
+
+_FLOOD = 200  # paths of one anchor in one epoch
 _UNKNOWN_PATHS = 6.0  # expected of an anchor beyond clutter, before any wall is known
 _PRIOR_EPOCHS = 4.0  # that this expectation weighs
 
@@ -68,7 +70,8 @@ def remember(
 
     A path counts as explained if a feature probably gave it, or if it lies close to
     where any possible feature would be heard: beside a known path stand its echoes,
-    not new walls.
+    not new walls. Of an anchor that hears hundreds of paths nothing is noted: in a flood every
+    wall could be found, and searching it takes minutes.
 
     Parameters
     ----------
@@ -92,7 +95,8 @@ def remember(
     active = state.active()[best] & prediction.possible[0]
     near = np.any(active[..., None] & (distance < radius[..., None]), axis=1)
     taken = rows.located[best][:, None] & (near | (explained > 0.3))
-    k, j = np.nonzero(paths.valid)
+    flood = np.sum(paths.valid, axis=1) > _FLOOD
+    k, j = np.nonzero(paths.valid & ~flood[:, None])
     columns = (paths.length_m[k, j], paths.std_m[k, j], paths.excess_loss_db[k, j], ~taken[k, j])
     heard = np.concatenate([state.heard, np.stack([np.full(k.size, state.epoch), k, *columns], axis=1)])
     oldest = state.epoch - max(config.birth_window, config.start_window)
