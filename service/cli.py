@@ -24,6 +24,7 @@ from rich.console import Console
 
 from estimator.errors import HapslamError
 from service.cli_bench import register as register_bench
+from service.cli_convert import register as register_convert
 from service.cli_dataset import register as register_datasets
 from service.cli_experiments import register as register_experiments
 from service.cli_scene import register as register_scenes
@@ -197,6 +198,7 @@ register(app)
 register_scenes(app)
 register_datasets(app)
 register_experiments(app, _room)
+register_convert(app)
 register_bench(app)
 
 

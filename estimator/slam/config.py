@@ -32,6 +32,9 @@ class GaussianConfig:
         Driving noise of the near-constant-velocity motion (39), m^2/s^4 per axis.
     velocity_std_m_s : float
         Standard deviation of the agent's unknown initial velocity, per axis.
+    start_std_m : float
+        Standard deviation of the agent's initial position about RP, per axis, metres; 0 where
+        the start defines the frame.
     height2_mean_m2, height2_std_m2 : float
         Prior of the squared height difference of anchor and agent, square metres;
         (0, 0) for planar measurements.
@@ -86,6 +89,7 @@ class GaussianConfig:
     gate_sigma: float = 4.0
     acceleration_variance: float = 0.0278
     velocity_std_m_s: float = 1.0
+    start_std_m: float = 0.0
     height2_mean_m2: float = 1.0
     height2_std_m2: float = 1.0
     clock_bias_std_m: float = 0.0
@@ -124,6 +128,7 @@ class GaussianConfig:
                 "height2_std_m2",
                 "clutter_mean",
                 "clock_bias_std_m",
+                "start_std_m",
                 "clock_bias_common",
             )
             if not signed and (value < 0 or (value == 0 and not zero)):

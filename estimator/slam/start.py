@@ -77,6 +77,7 @@ def start(
     if anchors_m is None:
         vrps[0, 1] = 0.0
     mean[layout.walls] = vrps.ravel()
+    covariance[0:2, 0:2] = config.start_std_m**2 * np.eye(2)
     covariance[2:4, 2:4] = config.velocity_std_m_s**2 * np.eye(2)
     for k in range(layout.anchors):
         place = (NOWHERE_M, 0.0) if anchors_m is None else anchors_m[k]

@@ -87,3 +87,23 @@ def test_nothing_is_computed_if_the_place_is_taken(main: Runner, tmp_path: Path)
     assert run.status == 2
     assert "fig13.svg" in run.err
     assert (tmp_path / "fig13.svg").read_text(encoding="utf-8") == "mine"
+
+
+def test_ranges_of_others_are_converted(main: Runner, tmp_path: Path) -> None:
+    """`convert` makes a file that `slam` reads; a place that is none is named, and files are not replaced."""
+    measured = tmp_path / "sim.nc"
+    assert main("simulate", "l-room", "--out", measured, "--seed", 3, "--know-anchors").status == 0
+    epochs = load_measurements(measured).epochs[:30]
+    cells = [paths.range_m for epoch in epochs for paths in epoch.paths]
+    offsets = np.concatenate([[0], np.cumsum([len(cell) for cell in cells])])
+    np.savez(tmp_path / "ranges.npz", range_m=np.concatenate(cells), offsets=offsets)
+    wanted = ("convert", tmp_path / "ranges.npz", "--known-anchors", "68,6", "--known-anchors", "42,36")
+    wanted = (*wanted, "--start", "10,15", "--range-std", 0.1, "--out", tmp_path / "ranges.nc")
+    assert main(*wanted).status == 0
+    slam = main("slam", tmp_path / "ranges.nc", "--method", "mva", "--out", tmp_path / "map.nc")
+    assert slam.status == 0, slam.err
+    assert "exists" in main(*wanted).err
+    wrong = main(*wanted[:2], "--known-anchors", "68;6", "--range-std", 0.1, "--out", tmp_path / "other.nc")
+    assert wrong.status == 2
+    assert "--known-anchors: expected two numbers X,Y, got '68;6'" in wrong.err
+    assert not (tmp_path / "other.nc").exists()
