@@ -2,7 +2,7 @@
 # make test      run the tests, README snippets included
 # make lint      style, types, directions of imports;  make format mends the style
 # make setup     only the environment: .venv, pinned and checked by hash
-# make soak      the long tests: kills of the service and of tracing, broken bodies, load (half an hour)
+# make soak      the long tests: Monte Carlo and traced acceptance, kills, broken bodies, load (half an hour)
 # make requirements   pin anew after a change of pyproject.toml
 
 VENV   := .venv
@@ -28,7 +28,7 @@ test: $(VENV)/.dev
 soak: $(VENV)/.dev
 	@HAPSLAM_TEST_KILLS=200 HAPSLAM_TEST_RESTARTS=10 HAPSLAM_TEST_BODIES=2000 HAPSLAM_TEST_EXAMPLES=100 \
 	    $(BIN)/python -m pytest tests/service/test_durability.py tests/service/test_fuzz.py $(ARGS)
-	@$(BIN)/python -m pytest -m soak tests/raytrace $(ARGS)
+	@$(BIN)/python -m pytest -m soak tests/raytrace tests/estimator $(ARGS)
 	@$(BIN)/hapslam bench --only service
 
 lint: $(VENV)/.dev

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from estimator.dataset import Dataset, DatasetWriter, open_dataset
 from estimator.errors import ConfigurationError, FileFormatError, InputError
 from estimator.extract import ExtractConfig, extract, extract_epochs, sense_walls
 from estimator.geometry import vrp_of_line
-from estimator.measurements import MeasurementSet, load_measurements, save_measurements
+from estimator.measurements import Epoch, MeasurementSet, load_measurements, save_measurements
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
 from raytrace.channel import add_noise, channel_response
 from raytrace.floorplan import load_floorplan
@@ -137,13 +137,13 @@ class Matched:
     without_path: float
 
 
-def match(measured: MeasurementSet, paths: PathSet) -> Matched:
+def match(epochs: Sequence[Epoch], paths: PathSet) -> Matched:
     """Pair detections with paths, of low order first, within half a metre."""
     errors: dict[int, list[float]] = {0: [], 1: [], 2: []}
     normalised: dict[int, list[float]] = {0: [], 1: [], 2: []}
     true = dict.fromkeys(errors, 0)
     unexplained = without = channels = 0
-    for t, epoch in enumerate(measured.epochs):
+    for t, epoch in enumerate(epochs):
         for k, heard in enumerate(epoch.paths):
             channels += 1
             valid = paths.valid[t, k]
@@ -174,7 +174,7 @@ def match(measured: MeasurementSet, paths: PathSet) -> Matched:
 
 def test_delays_of_the_l_room(room: Room, measured: MeasurementSet) -> None:
     """Detection, accuracy, clutter and honest deviations of delays in a room of six concrete walls."""
-    found = match(measured, room.paths)
+    found = match(measured.epochs, room.paths)
     assert found.true[0] > 70
     assert found.true[1] > 250
     assert len(found.errors[0]) >= 0.99 * found.true[0]

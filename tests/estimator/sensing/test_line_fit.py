@@ -161,3 +161,15 @@ def test_unusable_ranges_are_refused():
         BeamFan(np.zeros((2, 3)), np.ones((2, 2)))
     with pytest.raises(ConfigurationError, match="power"):
         BeamFan(np.zeros((2, 3)), np.zeros((2, 3)))
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("count", range(2, 17))
+def test_the_line_fit_is_efficient_and_honest_in_ten_thousand_runs(count):
+    """From 2 to 16 beams: RMSE at most 1.03 of the bound, NEES per dimension within 5 % of 1."""
+    distance, std, azimuth = sweep(count)
+    measured = distance + std * np.random.default_rng([3, count]).normal(size=(10_000, count))
+    fit = fit_lines(measured, std, azimuth)
+    bound = fit_lines(distance, std, azimuth).covariance_m2
+    assert rms(fit.mean_m - VRP) <= 1.03 * np.sqrt(np.trace(bound))
+    assert 0.95 <= nees(fit.mean_m - VRP, fit.covariance_m2) <= 1.05
