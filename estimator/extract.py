@@ -124,15 +124,15 @@ def extract_epochs(
     epochs: list[Epoch] = []
     for shard in dataset.shards("passive"):
         cfr = _channels(shard, plan.grid, antennas)
-        if cfr.shape[1:] != (anchors, antennas, plan.grid.tones):
+        if (cfr.shape[1], *cfr.shape[3:]) != (anchors, antennas, plan.grid.tones):
             raise FileFormatError(
                 f"{dataset.path}: expected channels of {anchors} anchors and {plan.grid.tones} tones"
                 + (f" at {antennas} antennas" if array is not None else "")
-                + f", as the manifest says, got {cfr.shape[1]} and {cfr.shape[3]}"
-                + (f" at {cfr.shape[2]}" if array is not None else "")
+                + f", as the manifest says, got {cfr.shape[1]} and {cfr.shape[4]}"
+                + (f" at {cfr.shape[3]}" if array is not None else "")
             )
         estimates: list[DelayEstimate] = []
-        rows = cfr.reshape(-1, *((plan.grid.tones,) if array is None else cfr.shape[2:]))
+        rows = cfr.reshape(-1, *(cfr.shape[2:] if array is not None else cfr[:, :, :, 0].shape[2:]))
         for start in range(0, len(rows), batch):
             estimates += plan.estimate(rows[start : start + batch], noise_variance)
             if progress is not None:
@@ -144,17 +144,21 @@ def extract_epochs(
 
 
 def _channels(shard: xr.Dataset, grid: OfdmGrid, antennas: int) -> Complex:
-    """CFRs (epoch, anchor, antenna, tone); from impulse responses if it holds no others.
+    """CFRs (epoch, anchor, snapshot, antenna, tone); from impulse responses if it holds no others.
 
-    Where there are several snapshots, or anchors with arrays, they are those of the first.
+    Snapshots of a path share delay and direction, and so do the antennas of an anchor with an
+    array, whose channels follow each other as further snapshots.
     """
-    links = ("epoch", "anchor", "antenna")
-    used = shard.isel({axis: 0 for axis in ("snapshot", "anchor_antenna") if axis in shard.dims})
-    used = used.isel(antenna=slice(1)) if antennas == 1 and "antenna" in used.dims else used
+    looks = [axis for axis in ("snapshot", "anchor_antenna") if axis in shard.dims]
+    links = ("epoch", "anchor", *looks, "antenna")
+    used = shard.isel(antenna=slice(1)) if antennas == 1 and "antenna" in shard.dims else shard
     if "cir_re" in shard and "cfr_re" not in shard:
         cir = _complex(used, "cir", "passive", (*links, "tap"))
-        return frequency_response(cir, grid) if cir.shape[-1] == grid.tones else cir
-    return _complex(used, "cfr", "passive", (*links, "tone"))
+        cfr = frequency_response(cir, grid) if cir.shape[-1] == grid.tones else cir
+    else:
+        cfr = _complex(used, "cfr", "passive", (*links, "tone"))
+    snapshots = int(np.prod(cfr.shape[2:-2], dtype=np.int64))
+    return cfr.reshape(*cfr.shape[:2], snapshots, *cfr.shape[-2:])
 
 
 @one_blas_thread()
@@ -190,16 +194,19 @@ def sense_walls(dataset: Dataset, config: FlashConfig | None = None) -> tuple[Ga
 
 
 def paths_of(estimate: DelayEstimate, array: AntennaArray | None = None) -> AnchorPaths:
-    """The measurements that an estimate is: delays, gains, and azimuths if the array tells all apart.
+    """The measurements that an estimate is: delays, gains (mean power of several snapshots), and azimuths.
+
+    Azimuths are there if the array tells all of them apart.
 
     Parameters
     ----------
     estimate : DelayEstimate
-        Paths of one channel (of one snapshot).
+        Paths of one channel.
     array : AntennaArray, optional
         The agent's antennas, in its axes.
     """
-    std, gain_db = np.sqrt(estimate.variance_s2), 20.0 * np.log10(np.abs(estimate.gain))
+    power = np.mean(np.abs(np.atleast_2d(estimate.gain)) ** 2, axis=0)
+    std, gain_db = np.sqrt(estimate.variance_s2), 10.0 * np.log10(power)
     if array is None or estimate.directions is None or not array.tells_azimuth:
         return AnchorPaths(estimate.delay_s, std, gain_db)
     found = estimate.directions

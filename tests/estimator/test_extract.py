@@ -335,6 +335,21 @@ def test_directions_of_an_array_are_measured(tmp_path: Path, rows: int) -> None:
     assert np.mean(np.square(normalised)) < 1.5  # less: the floor claimed is for arrays less ideal than this
 
 
+def test_snapshots_and_antennas_of_anchors_are_used_together(make: Callable[..., Dataset]) -> None:
+    """Eight looks at a path too weak for one: found in every epoch, its gain the mean power."""
+    rng = np.random.default_rng(34)
+    looks = 1e-4 * np.exp(2j * np.pi * rng.uniform(size=(2, 1, 4, 2, 1, 1))) * delay_atoms(GRID, 1e-7)
+    cfr = add_noise(looks, 1e-7, rng)
+    dims = ("epoch", "anchor", "snapshot", "anchor_antenna", "antenna", "tone")
+    shard = passive_shard(np.zeros((2, 1, 1, GRID.tones)), ["a"]).drop_vars(("cfr_re", "cfr_im"))
+    shard = shard.assign(cfr_re=(dims, cfr.real), cfr_im=(dims, cfr.imag))
+    measured = extract(make(passive=shard, manifest={"radio": signal(GRID, 1e-7)}))
+    for epoch in measured.epochs:
+        assert len(epoch.paths[0]) == 1
+        assert abs(epoch.paths[0].delay_s[0] - 1e-7) < 4.0 * epoch.paths[0].delay_std_s[0]
+        assert epoch.paths[0].gain_db[0] == pytest.approx(-80.0, abs=2.0)
+
+
 def test_a_dataset_without_a_sweep_has_no_walls(make: Callable[..., Dataset]) -> None:
     """Without an echo shard there are epochs and no walls, also where the manifest knows no echo."""
     dataset = make(without=("echo",))

@@ -105,6 +105,30 @@ def test_derivatives_of_correlations_agree_with_differences(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ARRAYS)
+def test_derivatives_of_kernels_agree_with_complex_steps(name: str) -> None:
+    """The Gram matrix is the sum of cosines over all samples; its derivatives are complex steps of that."""
+    rng = np.random.default_rng([SEED, 8])
+    array = ARRAYS[name]
+    atoms = SeparableAtoms(16, array.shape)
+    places = np.indices(tuple(atoms.sizes)).reshape(atoms.axes, -1) - 0.5 * (atoms.sizes[:, None] - 1.0)
+    difference = rng.uniform(-0.3, 0.3, (4, 4, atoms.axes))
+    found = atoms.kernels(difference)
+
+    def gram(x):
+        return np.sum(np.cos(2.0 * np.pi * (x @ places)), axis=-1)
+
+    def slope(x, d):
+        return np.sum(-2.0 * np.pi * places[d] * np.sin(2.0 * np.pi * (x @ places)), axis=-1)
+
+    np.testing.assert_allclose(found.kernel, gram(difference), atol=1e-9)
+    for d in range(atoms.axes):
+        stepped = difference + 1e-20j * np.eye(atoms.axes)[d]
+        np.testing.assert_allclose(found.slope[d], gram(stepped).imag / 1e-20, atol=1e-7)
+        for e in range(atoms.axes):
+            np.testing.assert_allclose(found.curvature[d, e], slope(stepped, e).imag / 1e-20, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ARRAYS)
 def test_errors_meet_the_bound_and_the_claims(name: str) -> None:
     """Two paths in one delay cell, told apart by direction: both found, errors at the joint bound."""
     rng = np.random.default_rng([SEED, 3])
