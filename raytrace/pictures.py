@@ -143,7 +143,8 @@ def draw_coverage(plan: FloorPlan, depth: int = 1, anchor: int | None = None) ->
     shown = power.max(axis=-1) if anchor is None else power[..., anchor]
     with style():
         of = "strongest anchor" if anchor is None else plan.anchors[anchor].name
-        figure, axes = _canvas(plan, f"{plan.name}: received power, {of}, up to {depth} bounces")
+        most = "1 bounce" if depth == 1 else f"{depth} bounces"
+        figure, axes = _canvas(plan, f"{plan.name}: received power, {of}, up to {most}")
         heard = shown[np.isfinite(shown)]
         top = float(np.percentile(heard, 99.5)) if heard.size else 0.0
         image = axes.pcolormesh(
