@@ -30,10 +30,16 @@ SEED = 4
 
 
 def free_port() -> int:
-    """A port that no one listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A port that no one listens on, and that no one is given for a connection to elsewhere.
+
+    A server that is killed must find its port free again; among the ports of outgoing connections, even
+    a client that tries to reach it could have taken it.
+    """
+    while True:
+        port = random.SystemRandom().randrange(10_000, 32_000)
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) != 0:
+                return port
 
 
 class Server:
@@ -171,7 +177,7 @@ class Uploads:
             self.errors.append(error)
 
     def _send(self, dice: random.Random) -> None:
-        clients = [Client(url, attempts=200, patience_s=0.3, timeout_s=20.0) for url in self._urls]
+        clients = [Client(url, attempts=100_000, patience_s=0.3, timeout_s=20.0) for url in self._urls]
         walk = self._walk
         while not self._enough.is_set():
             session = clients[0].create_session(session_entry(walk, seed=SEED))
