@@ -256,6 +256,7 @@ def test_snapshots_clocks_and_turning_in_files(plan: FloorPlan, tmp_path: Path) 
     assert passive["cfr_re"].dims == ("epoch", "anchor", "snapshot", "antenna", "tone")
     np.testing.assert_allclose(passive["snapshot_time_s"], [0.0, 1e-3, 2e-3])
     assert dataset.manifest["radio"]["snapshots"] == 3
+    assert dataset.manifest["radio"]["agent_array"]["orientation"] == "travel"
     np.testing.assert_allclose(truth["agent_heading_rad"], moving.headings_rad())
     assert truth.attrs["heading_rad"] == moving.headings_rad()[0]
     np.testing.assert_allclose(truth["clock_error_s"].values[:, 0], 2e-8 + 1e-8 * truth["time_s"])
