@@ -186,7 +186,7 @@ class Client:
     def _pause(self, attempt: int, retry_after: str | None) -> None:
         asked = float(retry_after) if retry_after and retry_after.isdigit() else 0.0
         spread = random.uniform(0.5, 1.0)  # so that clients do not come back all at once
-        time.sleep(min(self._patience_s, max(asked, 0.1 * 2.0**attempt)) * spread)
+        time.sleep(min(self._patience_s, max(asked, 0.1 * 2.0 ** min(attempt, 20))) * spread)
 
 
 def _given(**values: Any) -> dict[str, Any]:

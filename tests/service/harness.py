@@ -194,6 +194,12 @@ class Uploads:
         for client in clients:
             client.__exit__(None, None, None)
 
+    def await_progress(self, patience_s: float = 30.0) -> None:
+        """Wait until one more request is acknowledged, however slow the machine, or patience ends."""
+        before, end = sum(self.acknowledged.copy().values()), time.monotonic() + patience_s
+        while time.monotonic() < end and sum(self.acknowledged.copy().values()) <= before:
+            time.sleep(0.02)
+
     def check(self, url: str, folder: Path) -> int:
         """Compare all sessions with an undisturbed run; how many there are."""
         reference = run_slam(self._walk, seed=SEED)

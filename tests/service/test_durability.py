@@ -107,7 +107,9 @@ def test_killed_again_and_again(either_database: str, walk: MeasurementSet, tmp_
             server.start()
         with Uploads([server.url for server in servers], walk, clients=4, seed=KILLS) as uploads:
             for _ in range(KILLS):
-                time.sleep(dice.uniform(0.1, 1.6))  # often long enough for a step, often not
+                if dice.random() < 0.5:  # half of the kills come while epochs are flowing
+                    uploads.await_progress()
+                time.sleep(dice.uniform(0.0, 1.0))
                 server = dice.choice(servers)
                 server.kill()
                 server.start()

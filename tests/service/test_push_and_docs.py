@@ -86,6 +86,19 @@ def test_a_service_that_is_not_there_is_told() -> None:
         Client("localhost:8600")
 
 
+def test_patience_has_no_end_that_was_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After more than a thousand attempts the pauses are still the longest allowed, and the end as asked."""
+    pauses: list[float] = []
+    monkeypatch.setattr("service.client.time.sleep", pauses.append)
+    with (
+        Client(f"http://127.0.0.1:{free_port()}", attempts=1_200, patience_s=0.5) as nobody,
+        pytest.raises(ServiceUnavailableError, match="tried 1200 times"),
+    ):
+        nobody.session("0" * 32)
+    assert len(pauses) >= 1_199
+    assert all(0.25 <= pause <= 0.5 for pause in pauses[10:])
+
+
 def test_events_go_on_after_a_break(server: Server, walk: MeasurementSet) -> None:
     """The client's stream begins where it is told and ends when the session is deleted."""
     with Client(server.url) as client:
