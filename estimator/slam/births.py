@@ -23,7 +23,6 @@ from estimator.slam.features import wall_side
 __all__ = ["Bank", "Line", "find_line", "wall_bank"]
 
 Array = NDArray[np.float64]
-_TRUST = 0.5  # in a track's likelihood of a bearing: its errors are alike from epoch to epoch
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +181,7 @@ def wall_bank(
         jacobian = _vrp_by_image(image[i], anchor)
         mean.append(vrp[i])
         covariance.append(jacobian @ spread @ jacobian.T + 0.05**2 * np.eye(2))
-    log_weight = -_TRUST * (cost[index] - cost[index].min())
+    log_weight = -config.birth_trust * (cost[index] - cost[index].min())
     return Bank(np.array(mean), np.array(covariance), log_weight)
 
 

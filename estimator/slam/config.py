@@ -59,6 +59,9 @@ class GaussianConfig:
         Spacing of the bearings that a new wall is tried on.
     birth_excess_loss_db : float
         A path may start a wall only if it lost less than this beyond free space.
+    birth_trust : float
+        Power, 0 to 1, of the likelihood that the track gives each bearing of a new wall: its
+        errors are alike from epoch to epoch, where only lines of sight have told it.
     birth_log_prior : float
         Log prior odds of a new wall.
     confirm_support : int
@@ -104,6 +107,7 @@ class GaussianConfig:
     birth_support: int = 10
     birth_spacing_rad: float = float(np.deg2rad(1.5))
     birth_excess_loss_db: float = 10.0
+    birth_trust: float = 1.0
     birth_log_prior: float = -5.0
     confirm_support: int = 5
     confirm_weight: float = 0.98

@@ -113,6 +113,7 @@ class GaussianEngine:
             return self.config
         return replace(
             self.config,
+            birth_trust=0.5 * self.config.birth_trust,
             confirm_support=2 * self.config.confirm_support,
             confirm_weight=1.0 - 0.25 * (1.0 - self.config.confirm_weight),
         )
