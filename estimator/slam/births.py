@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from estimator.geometry import segments_cross
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import wall_side
+from estimator.slam.virtual_anchors import vrp_by_image, vrp_of_image
 
 __all__ = ["Bank", "Line", "find_line", "wall_bank"]
 
@@ -163,9 +164,7 @@ def wall_bank(
         reach = reach + np.sum(weight * error, axis=0) / np.maximum(np.sum(weight * slope, axis=0), 1e-3)
     cost = 0.5 * np.sum(error**2 / variance[:, None], axis=0)
     image = here + reach[:, None] * unit
-    chord = image - anchor
-    square = np.sum(chord**2, axis=1)
-    vrp = ((np.sum(image**2, axis=1) - np.sum(anchor**2)) / square)[:, None] * chord
+    vrp = vrp_of_image(image, anchor)
     fits = cost < 0.5 * len(line.epoch) + config.prune_nats
     fits &= cost - cost[fits].min(initial=np.inf) < config.prune_nats
     fits &= np.linalg.norm(vrp, axis=1) > 1.0
@@ -178,20 +177,11 @@ def wall_bank(
         along = np.array([-unit[i, 1], unit[i, 0]])
         spread = (0.7 * config.birth_spacing_rad * reach[i]) ** 2 * np.outer(along, along)
         spread += 0.3**2 * np.outer(unit[i], unit[i])
-        jacobian = _vrp_by_image(image[i], anchor)
+        jacobian = vrp_by_image(image[i], anchor)
         mean.append(vrp[i])
         covariance.append(jacobian @ spread @ jacobian.T + 0.05**2 * np.eye(2))
     log_weight = -config.birth_trust * (cost[index] - cost[index].min())
     return Bank(np.array(mean), np.array(covariance), log_weight)
-
-
-def _vrp_by_image(image: Array, anchor: Array) -> Array:
-    """Jacobian (2, 2) of the VRP by the virtual anchor, RP at the origin."""
-    chord = image - anchor
-    square = chord @ chord
-    scale = (image @ image - anchor @ anchor) / square
-    by_scale = 2.0 * image / square - 2.0 * scale * chord / square
-    return np.asarray(np.outer(chord, by_scale) + scale * np.eye(2))
 
 
 def _can_be(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.geometry import rotation_matrix
 from estimator.slam.state import GaussianState
+from estimator.slam.virtual_anchors import implied_walls
 
 __all__ = ["LEAST_WEIGHT", "MOST", "Candidate", "candidates"]
 
@@ -56,7 +57,7 @@ def candidates(
         mean = rows.mean[r]
         turn = rotation_matrix(state.bearing_rad + float(mean[layout.THETA]))
         present = np.flatnonzero(rows.present[r])
-        vrps = mean[layout.walls].reshape(-1, 2)[present]
+        vrps = implied_walls(mean[None], layout, state.slots.owner)[0, present]
         found.append(
             Candidate(float(weight[r]), turn @ mean[:2], state.slots.wall_id[present], vrps @ turn.T)
         )

@@ -64,6 +64,16 @@ class GaussianConfig:
         errors are alike from epoch to epoch, where only lines of sight have told it.
     birth_log_prior : float
         Log prior odds of a new wall.
+    virtual_stride : int
+        Virtual anchors are searched for every so many epochs.
+    virtual_window : int
+        Epochs looked back for them; of a long way fewer suffice.
+    virtual_evidence : float
+        Log likelihood over "all is clutter" that a new virtual anchor needs.
+    virtual_bearing_std_rad : float
+        Its bearing must be known this well.
+    virtual_alike_epochs : float
+        For so many epochs the track's errors are alike: its first covariance allows for it.
     confirm_support : int
         Fresh detections before a wall counts as found.
     confirm_weight : float
@@ -109,6 +119,11 @@ class GaussianConfig:
     birth_excess_loss_db: float = 10.0
     birth_trust: float = 1.0
     birth_log_prior: float = -5.0
+    virtual_stride: int = 5
+    virtual_window: int = 150
+    virtual_evidence: float = 20.0
+    virtual_bearing_std_rad: float = 0.2
+    virtual_alike_epochs: float = 16.0
     confirm_support: int = 5
     confirm_weight: float = 0.98
     confirm_radius_m: float = 3.0

@@ -129,6 +129,7 @@ class GaussianEngine:
             prior.carrier_hz,
             self.models,
             prior.anchors_m if known else None,
+            self.method.shared,
         )
 
     def step(self, state: GaussianState, epoch: Epoch, rng: np.random.Generator) -> GaussianState:

@@ -12,6 +12,7 @@ from estimator.slam.candidates import Candidate, candidates
 from estimator.slam.config import GaussianConfig
 from estimator.slam.hypotheses import moments
 from estimator.slam.state import GaussianState
+from estimator.slam.virtual_walls import Wall, virtual_walls
 
 __all__ = ["Estimate", "estimate"]
 
@@ -103,15 +104,15 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         anchor_existence[k] = min(float(weight[rows.located[:, k]].sum()), 1.0)
         xy = layout.anchor_xy(int(k))
         anchors[k], anchor_covariances[k] = place(rows.located[:, k], xy)
-    found = np.flatnonzero(state.slots.confirmed & rows.present[best])
-    walls, wall_covariances = np.empty((found.size, 2)), np.empty((found.size, 2, 2))
-    wall_existence = np.zeros(found.size)
-    for j, slot in enumerate(found):
-        xy = layout.wall(int(slot))
+    walls: list[Wall] = []
+    if not state.shared:
+        walls = virtual_walls(state, weight)
+    for slot in np.flatnonzero(state.slots.confirmed & rows.present[best] & state.shared).tolist():
+        xy = layout.wall(slot)
         near = np.linalg.norm(rows.mean[:, xy] - rows.mean[best, xy], axis=1) < config.confirm_radius_m
         standing = rows.present[:, slot] & near
-        walls[j], wall_covariances[j] = place(standing, xy)
-        wall_existence[j] = min(float(weight[standing].sum()), 1.0)
+        existence = min(float(weight[standing].sum()), 1.0)
+        walls.append(Wall(int(state.slots.wall_id[slot]), *place(standing, xy), existence))
     return Estimate(
         agent[0],
         agent[1],
@@ -119,13 +120,13 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         valid,
         anchors,
         anchor_covariances,
-        state.slots.wall_id[found],
-        walls,
-        wall_covariances,
+        np.array([wall.wall_id for wall in walls], dtype=np.int64),
+        np.array([wall.mean_m for wall in walls]).reshape(-1, 2),
+        np.array([wall.covariance_m2 for wall in walls]).reshape(-1, 2, 2),
         len(rows),
         state.log_evidence,
         anchor_existence,
-        wall_existence,
+        np.array([wall.existence for wall in walls], dtype=np.float64),
         candidates(state),
     )
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.layout import Layout
+from estimator.slam.virtual_anchors import VirtualAnchors
 
 __all__ = ["Prediction", "predict_azimuths", "predict_paths", "reflect", "wall_side"]
 
@@ -28,16 +29,17 @@ class Prediction:
     Parameters
     ----------
     length_m : ndarray, shape (R, K, F)
-        Path lengths; features ordered line of sight, walls, pairs ``1 + L + l * L + m``.
+        Path lengths; features ordered line of sight, walls or virtual anchors, pairs of walls
+        ``1 + L + l * L + m``.
     jacobian : ndarray, shape (R, K, F, n)
         Derivatives by the state vector.
-    room : Room
+    room : Room or VirtualAnchors
         The places that this follows from.
     """
 
     length_m: Array
     jacobian: Array
-    room: Room
+    room: Room | VirtualAnchors
 
     @property
     def possible(self) -> NDArray[np.bool_]:
@@ -140,6 +142,10 @@ class Room:
         )
 
 
+def _places(mean: Array, layout: Layout) -> Room | VirtualAnchors:
+    return Room(mean, layout) if layout.shared else VirtualAnchors(mean, layout)
+
+
 def predict_paths(mean: Array, layout: Layout) -> Prediction:
     """Path lengths, derivatives and geometric possibility of every feature.
 
@@ -155,7 +161,7 @@ def predict_paths(mean: Array, layout: Layout) -> Prediction:
     -------
     Prediction
     """
-    room = Room(mean, layout)
+    room = _places(mean, layout)
     offset = room.agent[:, :, None, :] - room.sources()
     square = _dot(offset, offset) + room.height2[:, :, None]
     length = np.sqrt(np.maximum(square, 1e-6))
@@ -184,7 +190,7 @@ def predict_azimuths(mean: Array, layout: Layout) -> tuple[Array, Array]:
     jacobian : ndarray, shape (R, K, F, n)
         Derivatives by the state vector.
     """
-    room = Room(mean, layout)
+    room = _places(mean, layout)
     offset = room.agent[:, :, None, :] - room.sources()
     square = np.maximum(np.sum(offset * offset, axis=-1, keepdims=True), 1e-6)
     azimuth = np.arctan2(-offset[..., 1], -offset[..., 0]) + mean[:, None, None, layout.THETA]

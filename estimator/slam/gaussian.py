@@ -28,6 +28,7 @@ from estimator.slam.slots import judge, open_slot
 from estimator.slam.state import GaussianState, log_sum_exp
 from estimator.slam.sweeps import take_sweep
 from estimator.slam.update import correct
+from estimator.slam.virtual_births import bear_virtual_anchors, shorter_than_sight
 
 __all__ = ["step"]
 
@@ -77,10 +78,11 @@ def step(
     state = replace(state, epoch=epoch.index, time_s=epoch.time_s)
     paths = stack_paths(epoch, state.carrier_hz)
     state, explained = _correct(state, paths, config)
-    state = take_sweep(state, epoch.sweep, epoch.heading_held, config)
+    if state.shared:
+        state = take_sweep(state, epoch.sweep, epoch.heading_held, config)
     state = locate_anchors(state, paths, config)
     state = remember(state, paths, explained, config)
-    state = _bear(state, config)
+    state = _bear(state, config) if state.shared else bear_virtual_anchors(state, config)
     return judge(replace(state, rows=tidy(state.rows, config)), config)
 
 
@@ -98,6 +100,7 @@ def _correct(state: GaussianState, paths: PathTable, config: GaussianConfig) -> 
     rows = state.rows
     if not rows.located.any():
         return state, np.zeros(paths.length_m.shape)
+    clutter = clutter_density(state, config)
     done = correct(
         rows.mean,
         rows.covariance,
@@ -106,10 +109,12 @@ def _correct(state: GaussianState, paths: PathTable, config: GaussianConfig) -> 
         paths.turned(-state.bearing_rad),
         state.layout,
         config,
-        clutter_density(state, config),
+        clutter,
     )
     rows = rows.take(done.parent)
     weight = rows.log_weight + done.log_evidence
+    if not state.shared:
+        weight += shorter_than_sight(done, paths, state.layout, config, clutter)
     evidence = log_sum_exp(weight)
     heard = np.any(done.heard[:, :, 1 : 1 + state.layout.slots] > 0.5, axis=1)
     rows = replace(

@@ -12,6 +12,11 @@ measurements cannot make the filter believe that they tell the rotation of the m
 ``w`` is the squared height difference of anchor and agent, square metres: a path of
 horizontal length d is ``sqrt(d^2 + w)`` long. ``b`` is the anchor's clock bias, metres: it
 adds to every path length.
+
+Where features are virtual anchors (method ``va``: each anchor has its own), a slot holds
+``(r, phi, cx, cy)`` instead: the virtual anchor stands at distance ``r`` and bearing ``phi`` from
+``c``, a constant: where the agent was when it was found. A path length tells ``r`` at once and
+``phi`` only as the agent moves on: in these coordinates what is known is a Gaussian from the first.
 """
 
 from __future__ import annotations
@@ -31,10 +36,13 @@ class Layout:
         Number of anchors, K.
     slots : int
         Number of wall slots, L (some may be empty).
+    shared : bool
+        Whether slots hold walls common to all anchors, or else virtual anchors.
     """
 
     anchors: int
     slots: int
+    shared: bool = True
 
     AGENT = slice(0, 4)
     POSITION = slice(0, 2)
@@ -45,12 +53,22 @@ class Layout:
     @property
     def size(self) -> int:
         """Length n of the state vector."""
-        return self.FIRST_ANCHOR + self.PER_ANCHOR * self.anchors + 2 * self.slots
+        return self.FIRST_ANCHOR + self.PER_ANCHOR * self.anchors + self.per_slot * self.slots
+
+    @property
+    def per_slot(self) -> int:
+        """Coordinates of a slot."""
+        return 2 if self.shared else 4
+
+    @property
+    def pairs(self) -> int:
+        """Ordered pairs of walls, L * L; virtual anchors have none."""
+        return self.slots**2 if self.shared else 0
 
     @property
     def features(self) -> int:
-        """Path features per anchor: line of sight, L walls, L * L ordered pairs of walls."""
-        return 1 + self.slots + self.slots**2
+        """Path features per anchor: line of sight, L walls or virtual anchors, pairs of walls."""
+        return 1 + self.slots + self.pairs
 
     def anchor(self, k: int) -> slice:
         """x, y, w, b of anchor ``k``."""
@@ -71,11 +89,11 @@ class Layout:
         return self.FIRST_ANCHOR + self.PER_ANCHOR * k + 3
 
     def wall(self, slot: int) -> slice:
-        """x, y of the VRP in ``slot``."""
-        begin = self.walls.start + 2 * slot
-        return slice(begin, begin + 2)
+        """x, y of the VRP in ``slot``, or r, phi, cx, cy of the virtual anchor."""
+        begin = self.walls.start + self.per_slot * slot
+        return slice(begin, begin + self.per_slot)
 
     @property
     def walls(self) -> slice:
-        """All VRPs, reshapes to (L, 2)."""
+        """All slots, reshapes to (L, 2); of virtual anchors (L, 4)."""
         return slice(self.FIRST_ANCHOR + self.PER_ANCHOR * self.anchors, self.size)

@@ -31,6 +31,7 @@ _BIAS_STEP_M = 1.0  # spacing of the clock biases that are tried
 _MOST_BIASES = 10  # searched for further anchors
 _STRIDE = 4  # epochs between those of a window that are searched
 _RIVAL_LOG_PRIOR = -3.0  # log odds that a located anchor is elsewhere after all
+_KNOWN_M2 = 1e-12  # variance of an anchor known from the start, left by rounding where rows were merged
 _PRIOR_STD_M = 10.0  # of an anchor started from one epoch, whose paths all enter the joint Gaussian
 
 
@@ -141,7 +142,7 @@ def _search(
 def _doubtful(state: GaussianState, k: int, config: GaussianConfig) -> bool:
     """Whether so much of a located anchor goes unexplained that its place should be checked."""
     place = state.layout.anchor_xy(k)
-    known = not state.rows.covariance[state.rows.best, place, place].any()
+    known = np.trace(state.rows.covariance[state.rows.best, place, place]) < _KNOWN_M2
     if known or state.epoch % 4 or len(state.trail) < 4:
         return False
     loose = state.loose

@@ -49,6 +49,8 @@ def widen_spans(state: GaussianState, row: int, heard: Array) -> Array:
     """
     layout, mean = state.layout, state.rows.mean[row]
     span = state.slots.span_m.copy()
+    if not layout.shared:
+        return span
     wall = mean[layout.walls].reshape(-1, 2)
     normal = wall / np.linalg.norm(wall, axis=1, keepdims=True)
     for k in range(layout.anchors):
@@ -91,7 +93,8 @@ def remember(
     prediction = predict_paths(mean[None], state.layout)
     spread = predicted_variance(prediction, covariance[None])[0]
     distance = np.abs(paths.length_m[:, None, :] - prediction.length_m[0][..., None])
-    radius = np.minimum(config.pair_radius_m + 2.0 * np.sqrt(spread), 3.0)
+    beside = config.pair_radius_m if state.shared else 2.0 * config.range_std_m
+    radius = np.minimum(beside + 2.0 * np.sqrt(spread), 3.0)
     active = state.active()[best] & prediction.possible[0]
     near = np.any(active[..., None] & (distance < radius[..., None]), axis=1)
     taken = rows.located[best][:, None] & (near | (explained > 0.3))
@@ -99,5 +102,6 @@ def remember(
     k, j = np.nonzero(paths.valid & ~flood[:, None])
     columns = (paths.length_m[k, j], paths.std_m[k, j], paths.excess_loss_db[k, j], ~taken[k, j])
     heard = np.concatenate([state.heard, np.stack([np.full(k.size, state.epoch), k, *columns], axis=1)])
-    oldest = state.epoch - max(config.birth_window, config.start_window)
+    window = config.birth_window if state.shared else config.virtual_window
+    oldest = state.epoch - max(window, config.start_window)
     return replace(state, trail=trail[trail[:, 0] > oldest], heard=heard[heard[:, 0] > oldest])

@@ -77,6 +77,7 @@ METHODS = {
 PAIRS = (
     ("hybrid", "gaussian"),
     ("hybrid", "particle"),
+    ("va", "gaussian"),
     ("va", "particle"),
     ("mva", "gaussian"),
     ("mva", "particle"),

@@ -20,7 +20,7 @@ _FRESH = (0.9, 0.6, 0.1)  # prior visibility of line of sight, wall and pair
 def fresh_visibility(layout: Layout) -> Array:
     """Prior visibility (F,) of an anchor's features."""
     direct, wall, pair = _FRESH
-    return np.repeat([direct, wall, pair], [1, layout.slots, layout.slots**2])
+    return np.repeat([direct, wall, pair], [1, layout.slots, layout.pairs])
 
 
 def open_slot(state: GaussianState) -> tuple[GaussianState, int]:
@@ -29,7 +29,7 @@ def open_slot(state: GaussianState) -> tuple[GaussianState, int]:
     if empty.size:
         return state, int(empty[0])
     old, rows, slots = state.layout, state.rows, state.slots
-    new = Layout(old.anchors, old.slots + 1)
+    new = replace(old, slots=old.slots + 1)
     mean = np.full((len(rows), new.size), NOWHERE_M)
     mean[:, : old.size] = rows.mean
     covariance = np.zeros((len(rows), new.size, new.size))
@@ -48,6 +48,7 @@ def open_slot(state: GaussianState) -> tuple[GaussianState, int]:
         np.append(slots.born, -1),
         np.append(slots.confirmed, False),
         np.concatenate([slots.span_m, [[np.inf, -np.inf]]]),
+        np.append(slots.owner, -1),
     )
     return replace(state, rows=grown, slots=more), old.slots
 
@@ -57,6 +58,8 @@ def _widened(visibility: Array, old: Layout, new: Layout) -> Array:
     rows = len(visibility)
     wide = np.tile(fresh_visibility(new), (rows, new.anchors, 1))
     wide[..., : 1 + old.slots] = visibility[..., : 1 + old.slots]
+    if not new.shared:
+        return wide
     pairs = wide[..., 1 + new.slots :].reshape(rows, new.anchors, new.slots, new.slots)
     pairs[..., : old.slots, : old.slots] = visibility[..., 1 + old.slots :].reshape(
         rows, old.anchors, old.slots, old.slots
@@ -66,11 +69,15 @@ def _widened(visibility: Array, old: Layout, new: Layout) -> Array:
 
 
 def judge(state: GaussianState, config: GaussianConfig) -> GaussianState:
-    """Confirm pending walls that nearly all the weight agrees on; give up those that linger."""
+    """Confirm pending walls that nearly all the weight agrees on; give up those that linger.
+
+    A virtual anchor is there if it is heard, wherever it stands: before the track bends it may be
+    itself or its mirror image in the track, and the epochs to come decide.
+    """
     for slot in state.slots.pending:
         rows, weight = state.rows, np.exp(state.rows.log_weight)
         have = rows.present[:, slot]
-        alike = _agreeing(state, int(slot), config)
+        alike = _agreeing(state, int(slot), config) if state.shared else have
         support = rows.support[alike, slot].max(initial=0)
         if weight[alike].sum() > config.confirm_weight and support >= config.confirm_support:
             slots = state.slots.copy()
@@ -104,9 +111,11 @@ def _close_slot(state: GaussianState, slot: int) -> GaussianState:
     rows.support[:, slot] = 0
     involved = np.zeros(layout.features, dtype=bool)
     involved[1 + slot] = True
-    pairs = involved[1 + layout.slots :].reshape(layout.slots, layout.slots)
-    pairs[slot, :] = pairs[:, slot] = True
+    if layout.shared:
+        pairs = involved[1 + layout.slots :].reshape(layout.slots, layout.slots)
+        pairs[slot, :] = pairs[:, slot] = True
     rows.visibility[..., involved] = fresh_visibility(layout)[involved]
     slots = state.slots.copy()
-    slots.wall_id[slot], slots.born[slot], slots.span_m[slot] = -1, -1, (np.inf, -np.inf)
+    slots.wall_id[slot], slots.born[slot], slots.owner[slot] = -1, -1, -1
+    slots.span_m[slot] = np.inf, -np.inf
     return replace(state, rows=rows, slots=slots)

@@ -32,6 +32,7 @@ def start(
     carrier_hz: float,
     config: GaussianConfig,
     anchors_m: Array | None = None,
+    shared: bool = True,
 ) -> GaussianState:
     """The state before the first epoch.
 
@@ -48,6 +49,9 @@ def start(
         Models.
     anchors_m : ndarray, shape (K, 2), optional
         The anchors, estimator's frame, if they are known.
+    shared : bool
+        Whether features are walls common to all anchors, or else virtual anchors of each, of which
+        none is known at the start.
 
     Returns
     -------
@@ -56,15 +60,18 @@ def start(
     Raises
     ------
     InputError
-        If no anchor is given, or neither a wall nor the anchors' places.
+        If no anchor is given, or neither a wall nor the anchors' places; if walls are given where
+        features are virtual anchors.
     """
     if not anchor_names or not (walls or anchors_m is not None):
         raise InputError(
             "SLAM: expected at least one anchor, and a wall sensed at the start or known anchors, "
             f"got {len(anchor_names)} anchors and {len(walls)} walls"
         )
+    if walls and not shared:
+        raise InputError(f"SLAM with virtual anchors: expected no walls at the start, got {len(walls)}")
     walls = sorted(walls, key=_bearing_std)
-    layout = Layout(len(anchor_names), len(walls))
+    layout = Layout(len(anchor_names), len(walls), shared)
     bearing = 0.0
     if anchors_m is None:
         reference = walls[0].mean_m
@@ -97,7 +104,8 @@ def start(
         visibility=np.tile(fresh_visibility(layout), (1, layout.anchors, 1)),
         support=np.zeros((1, count), dtype=np.int64),
     )
-    slots = Slots(np.arange(count), np.full(count, -1), np.ones(count, dtype=bool), np.zeros((count, 2)))
+    nobody = np.full(count, -1)
+    slots = Slots(np.arange(count), nobody, np.ones(count, dtype=bool), np.zeros((count, 2)), nobody.copy())
     return GaussianState(
         anchor_names=tuple(anchor_names),
         carrier_hz=float(carrier_hz),
@@ -106,6 +114,7 @@ def start(
         time_s=0.0,
         log_evidence=0.0,
         next_wall_id=count,
+        shared=shared,
         rows=rows,
         slots=slots,
         trail=np.empty((0, 4)),

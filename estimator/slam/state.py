@@ -14,7 +14,7 @@ from estimator.slam.layout import Layout
 
 __all__ = ["NOWHERE_M", "GaussianState", "Rows", "Slots", "load_state", "save_state"]
 
-FORMAT = "hapslam-gaussian-state/1"
+FORMAT = "hapslam-gaussian-state/2"
 NOWHERE_M = 1e4  # coordinates of unknown anchors and of the VRPs of empty slots
 
 
@@ -96,12 +96,15 @@ class Slots:
     span_m : ndarray, shape (L, 2)
         Stretch along the wall on which reflections were heard: signed distances from
         the foot of RP, metres; empty is (inf, -inf).
+    owner : ndarray of int64, shape (L,)
+        The anchor whose virtual anchor the slot holds; -1 for a wall, common to all.
     """
 
     wall_id: NDArray[np.int64]
     born: NDArray[np.int64]
     confirmed: NDArray[np.bool_]
     span_m: NDArray[np.float64]
+    owner: NDArray[np.int64]
 
     @property
     def pending(self) -> NDArray[np.int64]:
@@ -133,6 +136,8 @@ class GaussianState:
         Log of the evidence of all epochs over "all is clutter".
     next_wall_id : int
         Identity that the next new wall gets.
+    shared : bool
+        Whether features are walls common to all anchors, or else virtual anchors of each.
     rows : Rows
         Hypotheses on associations and walls.
     slots : Slots
@@ -151,6 +156,7 @@ class GaussianState:
     time_s: float
     log_evidence: float
     next_wall_id: int
+    shared: bool
     rows: Rows
     slots: Slots
     trail: NDArray[np.float64]
@@ -159,7 +165,7 @@ class GaussianState:
     @property
     def layout(self) -> Layout:
         """Positions in the state vector."""
-        return Layout(len(self.anchor_names), len(self.slots.wall_id))
+        return Layout(len(self.anchor_names), len(self.slots.wall_id), self.shared)
 
     @property
     def loose(self) -> NDArray[np.float64]:
@@ -169,13 +175,18 @@ class GaussianState:
     def active(self) -> NDArray[np.bool_]:
         """Features (R, K, F) that each row has; pairs need two walls that count as found."""
         present = self.rows.present
+        if not self.shared:
+            own = self.slots.owner == np.arange(len(self.anchor_names))[:, None]
+            points = present[:, None, :] & own
+            direct = np.ones((*points.shape[:2], 1), dtype=bool)
+            return np.asarray(self.rows.located[:, :, None] & np.concatenate([direct, points], axis=2))
         found = present & self.slots.confirmed
         pairs = (found[:, :, None] & found[:, None, :]).reshape(len(present), -1)
         features = np.concatenate([np.ones((len(present), 1), dtype=bool), present, pairs], axis=1)
         return np.asarray(self.rows.located[:, :, None] & features[:, None, :])
 
 
-_SCALARS = ("carrier_hz", "bearing_rad", "epoch", "time_s", "log_evidence", "next_wall_id")
+_SCALARS = ("carrier_hz", "bearing_rad", "epoch", "time_s", "log_evidence", "next_wall_id", "shared")
 
 
 def save_state(state: GaussianState) -> bytes:
@@ -216,6 +227,7 @@ def load_state(data: bytes) -> GaussianState:
             time_s=float(columns["time_s"]),
             log_evidence=float(columns["log_evidence"]),
             next_wall_id=int(columns["next_wall_id"]),
+            shared=bool(columns["shared"]),
             rows=rows,
             slots=slots,
         )
