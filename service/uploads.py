@@ -1,4 +1,4 @@
-"""Files sent by clients: raw channels, datasets, measurement files; read in a worker process.
+"""Files sent by clients: arrays, datasets, measurement files; read in a worker process.
 
 Nothing in a file is trusted: sizes are added up before anything is unpacked, arrays come
 without pickles, names inside an archive must be those that a dataset has, and what
@@ -20,81 +20,15 @@ from numpy.typing import NDArray
 
 from estimator.dataset import KINDS, MANIFEST, open_dataset
 from estimator.errors import FileFormatError, InputError
-from estimator.measurements import AnchorPaths, Epoch, MeasurementSet, load_measurements
+from estimator.measurements import MeasurementSet, load_measurements
 from estimator.waveform import OfdmGrid
 from service.errors import TooLargeError
 from service.fold import StateCache
 from service.push import truth_entry
 
-__all__ = ["ChannelsTask", "FileTask", "Unpacked", "columns", "evenly_spaced", "read_arrays"]
+__all__ = ["FileTask", "Unpacked", "columns", "evenly_spaced", "read_arrays"]
 
 _ZIP, _HDF5 = b"PK\x03\x04", b"\x89HDF\r\n\x1a\n"
-_BATCH = 64  # channels estimated together
-_CHANNELS = ("cfr_re", "cfr_im", "time_s", "epoch", "anchor", "tone_offset_hz")
-
-
-@dataclass(frozen=True)
-class ChannelsTask:
-    """Estimate the delays in raw channels.
-
-    Parameters
-    ----------
-    body : bytes
-        netCDF or npz with ``cfr_re``, ``cfr_im`` (epoch, anchor, antenna, tone), ``time_s``,
-        ``epoch``, ``anchor`` (names) and ``tone_offset_hz`` (ascending, evenly spaced).
-    anchors : tuple of str
-        The session's anchors.
-    carrier_hz : float
-        Carrier frequency.
-    noise_variance : float
-        Variance of the channels' noise per tone.
-    max_unpacked_bytes : int
-        Most that the file may unpack to.
-    """
-
-    body: bytes
-    anchors: tuple[str, ...]
-    carrier_hz: float
-    noise_variance: float
-    max_unpacked_bytes: int
-
-    def run(self, cache: StateCache) -> tuple[Epoch, ...]:
-        """Read the file and estimate; raises FileFormatError or InputError."""
-        del cache
-        from estimator.channel.nomp import NompPlan  # of the workers alone: the server starts sooner
-
-        data = columns(read_arrays(self.body, self.max_unpacked_bytes, _CHANNELS))
-        real, imaginary = data["cfr_re"], data["cfr_im"]
-        if real.shape != imaginary.shape:
-            raise FileFormatError(f"cfr_im: expected shape {real.shape} as cfr_re, got {imaginary.shape}")
-        cfr = real + 1j * imaginary
-        index, time_s = data["epoch"], data["time_s"]
-        names = [str(name) for name in data["anchor"].ravel()]
-        grid = evenly_spaced(data["tone_offset_hz"], self.carrier_hz)
-        wanted = (len(index), len(self.anchors), grid.tones)
-        if cfr.ndim != 4 or cfr.shape[2] < 1 or (cfr.shape[0], cfr.shape[1], cfr.shape[3]) != wanted:
-            raise FileFormatError(
-                f"cfr: expected shape ({wanted[0]}, {wanted[1]}, antennas, {wanted[2]}), got {cfr.shape}"
-            )
-        if sorted(names) != sorted(self.anchors):
-            raise InputError(f"anchor: expected {', '.join(self.anchors)}, got {', '.join(names[:20])}")
-        if time_s.shape != index.shape or not np.all(np.isfinite(time_s)):
-            raise FileFormatError("time_s: expected a finite time for each epoch")
-        if np.any(index < 0) or np.any(index > 2**31 - 2):
-            raise FileFormatError("epoch: expected numbers from 0 on")
-        cfr = cfr[:, [names.index(name) for name in self.anchors], 0, :]
-        rows = cfr.reshape(-1, grid.tones)
-        plan = NompPlan(grid)
-        found = [
-            AnchorPaths(e.delay_s, np.sqrt(e.variance_s2), 20.0 * np.log10(np.abs(e.gain)))
-            for first in range(0, len(rows), _BATCH)
-            for e in plan.estimate(rows[first : first + _BATCH], self.noise_variance)
-        ]
-        count = len(self.anchors)
-        return tuple(
-            Epoch(int(index[i]), float(time_s[i]), tuple(found[i * count : (i + 1) * count]))
-            for i in range(len(index))
-        )
 
 
 @dataclass(frozen=True)

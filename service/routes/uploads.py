@@ -12,11 +12,12 @@ from service.context import CallerDep, Context, ContextDep, SessionAccess, Sessi
 from service.errors import ConflictError, TooLargeError, WorkerDiedError
 from service.example import example
 from service.push import session_entry
+from service.raw_channels import ChannelsTask
 from service.routes.measurements import answer, take
 from service.routes.sessions import create_session, read
-from service.schemas import SessionRequest
+from service.schemas import ChannelsQuery, SessionRequest
 from service.sessions import Taken, take_sweep
-from service.uploads import ChannelsTask, FileTask, Unpacked
+from service.uploads import FileTask, Unpacked
 from service.workers import Task
 
 __all__ = ["router"]
@@ -41,21 +42,23 @@ async def channels(
     request: Request,
     session: SessionDep,
     here: ContextDep,
-    noise_variance: Annotated[
-        float, Query(gt=0.0, le=1e6, allow_inf_nan=False, description="Of the channels' noise, per tone.")
-    ],
+    radio: Annotated[ChannelsQuery, Query()],
 ) -> Response:
-    """Channel frequency responses as netCDF or npz; their delays are estimated and taken in as epochs.
+    """Channel frequency responses as netCDF or npz; their paths are estimated and taken in as epochs.
 
-    Variables: ``cfr_re``, ``cfr_im`` (epoch, anchor, antenna, tone), ``time_s``, ``epoch``, ``anchor``,
-    ``tone_offset_hz``: a passive shard of `hapslam trace` is such a file.
+    Variables: `cfr_re`, `cfr_im` (epoch, anchor, [snapshot,] [anchor antenna,] antenna, tone), `time_s`,
+    `epoch`, `anchor`, `tone_offset_hz`: a passive shard of `hapslam trace` is such a file. All antennas and
+    snapshots are used together. `elements` says that the agent's antennas are an array; if that array tells
+    all azimuths apart (`lying`), directions of arrival are measured too.
     """
     config = json.loads((await here.run(here.store.session, session.id, session.key_id)).config)
     task = ChannelsTask(
         await request.body(),
         tuple(config["anchors"]),
         config["carrier_hz"],
-        noise_variance,
+        radio.noise_variance,
+        radio.array(),
+        radio.orientation == "fixed",
         here.settings.max_unpacked_bytes,
     )
     epochs = await _unpacked(here, session.id, task)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ import pytest
 import xarray as xr
 from fastapi.testclient import TestClient
 
+from estimator.arrays import AntennaArray, UniformLinearArray, UniformPlanarArray
 from estimator.channel.nomp import estimate_delays
-from estimator.measurements import MeasurementSet, save_measurements
+from estimator.measurements import AnchorPaths, MeasurementSet, load_measurements, save_measurements
 from estimator.result import SlamResult
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
 from service.lpp import TC_INVERSE_HZ
@@ -87,6 +89,93 @@ def test_channels_become_the_delays_that_the_estimator_finds(
     expected = estimate_delays(cfr, NOISE, GRID)[0].delay_s
     found = logs[0][0, 0]
     assert found[np.isfinite(found)] == pytest.approx(expected, rel=1e-9)
+
+
+_AZIMUTHS = np.array([0.4, 2.9])  # radians; the second comes from behind a row that faces the x axis
+
+
+def _of_an_array(shape: tuple[int, ...], array: AntennaArray, rng: np.random.Generator) -> dict[str, Any]:
+    """Channels of one anchor over two paths, faint at a single antenna; looks of random phases."""
+    delays = np.array([1.0e-7, 1.6e-7])
+    gains = 2e-6 * np.exp(2j * np.pi * rng.uniform(size=(*shape, 2)))
+    tones = np.exp(-2j * np.pi * np.outer(delays, GRID.offsets_hz()))
+    cfr = np.einsum("...p,pm,pn->...mn", gains, array.steering(_AZIMUTHS), tones)
+    cfr += np.sqrt(NOISE / 2) * (rng.normal(size=cfr.shape) + 1j * rng.normal(size=cfr.shape))
+    return {
+        "cfr_re": cfr.real,
+        "cfr_im": cfr.imag,
+        "time_s": np.arange(float(shape[0])),
+        "epoch": np.arange(shape[0]),
+        "anchor": np.array(["a"]),
+        "tone_offset_hz": GRID.offsets_hz(),
+    }
+
+
+def _strongest(paths: AnchorPaths, count: int) -> AnchorPaths:
+    """The strongest paths in order of delay: noise adds a false one now and then."""
+    assert paths.gain_db is not None
+    kept = np.sort(np.argsort(-paths.gain_db)[:count])
+    columns = (getattr(paths, entry.name) for entry in fields(paths))
+    return AnchorPaths(*(None if column is None else column[kept] for column in columns))
+
+
+def test_antennas_and_snapshots_are_used_together(
+    client: TestClient, make_session: Callable[..., str], tmp_path: Path
+) -> None:
+    """Of 16 antennas, a described array gives directions and delays; as mere looks, delays as good.
+
+    Each beats one antenna by about 16 in variance; snapshots add to that; errors stay within the claims.
+    """
+    array = UniformPlanarArray(4, 4, lying=True)
+    arrays = _of_an_array((12, 1), array, np.random.default_rng(8))
+    single = {**arrays, **{name: arrays[name][:, :, :1] for name in ("cfr_re", "cfr_im")}}
+    more = _of_an_array((12, 1, 2, 2), array, np.random.default_rng(9))
+    row = _of_an_array((12, 1), UniformLinearArray(16), np.random.default_rng(10))
+    lying = {"elements": 4, "rows": 4, "lying": True}
+
+    def measured(content: dict[str, Any], **described: Any) -> list[AnchorPaths]:
+        url = make_session(anchors=["a"])
+        answer = _put(client, f"{url}/channels", _npz(content), noise_variance=NOISE, **described)
+        assert answer.status_code == 200, answer.text
+        file = tmp_path / f"{url[-32:]}.nc"
+        file.write_bytes(client.get(f"{url}/measurements").content)
+        epochs = load_measurements(file).epochs
+        assert all(epoch.heading_held is (described.get("orientation") != "travel") for epoch in epochs)
+        return [_strongest(epoch.paths[0], 2) for epoch in epochs]
+
+    variance = {}
+    for name, content, described in (
+        ("one antenna", single, {}),
+        ("looks", arrays, {}),
+        ("array", arrays, {**lying, "orientation": "travel"}),
+        ("row", row, {"elements": 16}),
+        ("array and snapshots", more, lying),
+    ):
+        heard = measured(content, **described)
+        variance[name] = np.mean([paths.delay_std_s[0] ** 2 for paths in heard])
+        if "array" in name:
+            azimuth = np.stack([paths.azimuth_rad for paths in heard])
+            error = np.angle(np.exp(1j * (azimuth - _AZIMUTHS)))
+            claimed = np.stack([paths.azimuth_std_rad for paths in heard])
+            assert np.mean((error / claimed) ** 2) < 2.0  # 24 squares of mean 1: above 1.8 once in 100
+            assert np.max(np.abs(error)) < 0.1
+        else:
+            assert all(paths.azimuth_rad is None for paths in heard)
+        normalised = [(paths.delay_s - [1.0e-7, 1.6e-7]) / paths.delay_std_s for paths in heard]
+        assert np.mean(np.square(normalised)) < 2.0
+    for name in ("looks", "array", "row"):
+        assert variance[name] == pytest.approx(variance["one antenna"] / 16.0, rel=0.5), name
+    assert variance["array and snapshots"] == pytest.approx(variance["array"] / 4.0, rel=0.5)
+    url = make_session(anchors=["a"])
+    for described, text in (
+        ({"elements": 8}, "8, 200), got (12, 1, 16, 200)"),
+        ({"elements": 1}, "elements"),
+        ({"orientation": "up"}, "orientation"),
+        ({"antennas": 4}, "antennas"),
+    ):
+        answer = _put(client, f"{url}/channels", _npz(arrays), noise_variance=NOISE, **described)
+        assert answer.status_code == 422
+        assert text in answer.json()["detail"]
 
 
 def test_bad_files_are_refused(
