@@ -15,41 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.association import associate
+from estimator.slam.circles import Centres, intersections
 from estimator.slam.config import GaussianConfig
-from estimator.slam.features import reflect, wall_side
+from estimator.slam.features import wall_side
 
-__all__ = ["Candidates", "Centres", "PathBatch", "best_of", "evidence_at", "images_of_agent", "locate"]
+__all__ = ["Candidates", "PathBatch", "best_of", "evidence_at", "locate"]
 
 Array = NDArray[np.float64]
 _SURE = 0.9  # association probability from which a label is believed
 _PRIOR = (0.9, 0.6, 0.2)  # that a path of 0, 1, 2 bounces can be heard
+_BEHIND_LOG_PRIOR = -2.5  # of standing behind a known wall: anchors are rarely in other rooms
 _LOSS_MEAN_DB, _LOSS_STD_DB, _LOSS_RANGE_DB = 0.0, 2.5, 40.0  # direct paths; any path
-
-
-@dataclass(frozen=True, eq=False)
-class Centres:
-    """Circle centres of one or more epochs.
-
-    Parameters
-    ----------
-    point_m : ndarray, shape (C, 2)
-        The agent and its images.
-    covariance_m2 : ndarray, shape (C, 2, 2)
-        Their covariances.
-    bounces : ndarray of int64, shape (C,)
-        0 for the agent, 1 for an image in a wall, 2 for an image of an image.
-    epoch : ndarray of int64, shape (C,)
-        The epoch it belongs to.
-    wall, behind : ndarray of int64, shape (C,)
-        Wall of the first image and of the second, -1 where there is none.
-    """
-
-    point_m: Array
-    covariance_m2: Array
-    bounces: NDArray[np.int64]
-    epoch: NDArray[np.int64]
-    wall: NDArray[np.int64]
-    behind: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +61,7 @@ class Candidates:
     log_evidence : ndarray, shape (S,)
         Log evidence over "all is clutter".
     matches : ndarray of int64, shape (S,)
-        Number of paths of up to one bounce that are explained.
+        Number of features of up to one bounce that most epochs heard.
     label : ndarray of int64, shape (S, C)
         For each centre the path that belongs to it, -1 for none or if in doubt.
     bias_m : ndarray, shape (S,)
@@ -116,49 +92,6 @@ def best_of(found: list[Candidates], config: GaussianConfig) -> Candidates:
     return Candidates(*(getattr(joined, f.name)[order] for f in fields(Candidates)))
 
 
-def images_of_agent(
-    position: Array,
-    position_variance: float,
-    walls: Array,
-    wall_covariance: Array,
-    slots: NDArray[np.int64],
-    epoch: int,
-) -> Centres:
-    """The agent and its images in the walls, up to two bounces.
-
-    Parameters
-    ----------
-    position : ndarray, shape (2,)
-        Agent, gauge frame, metres.
-    position_variance : float
-        Its variance per axis, square metres.
-    walls : ndarray, shape (L, 2)
-        VRPs.
-    wall_covariance : ndarray, shape (L, 2, 2)
-        Their covariances.
-    slots : ndarray of int64, shape (L,)
-        Numbers to give the walls.
-    epoch : int
-        Number of the epoch.
-    """
-    count = len(walls)
-    first = reflect(np.broadcast_to(position, (count, 2)), walls)
-    own = position_variance * np.eye(2)
-    covariance = own + wall_covariance
-    # from the anchor over a near, then a far wall: the image in the near of the image in the far
-    near, far = np.nonzero(~np.eye(count, dtype=bool))
-    second = reflect(first[far], walls[near])
-    none = np.full(1, -1)
-    return Centres(
-        np.concatenate([position[None], first, second]),
-        np.concatenate([own[None], covariance, covariance[near] + wall_covariance[far]]),
-        np.repeat([0, 1, 2], [1, count, near.size]),
-        np.full(1 + count + near.size, epoch),
-        np.concatenate([none, slots, slots[near]]),
-        np.concatenate([none, np.full(count, -1), slots[far]]),
-    )
-
-
 def _loss_ratio(paths: PathBatch, bounces: NDArray[np.int64]) -> Array:
     """Likelihood ratio (C, N) of each path's loss, centre against clutter; 1 where unknown."""
     deviation = (paths.excess_loss_db - _LOSS_MEAN_DB) / _LOSS_STD_DB
@@ -173,10 +106,10 @@ def _along(unit: Array, centres: Centres) -> Array:
     return np.asarray(np.einsum("sci,cij,scj->sc", unit, centres.covariance_m2, unit))
 
 
-def _odds(
+def _likelihood(
     points: Array, centres: Centres, paths: PathBatch, walls: dict[int, Array], config: GaussianConfig
 ) -> tuple[Array, Array, Array]:
-    """Association ratios (S, C, N), miss probabilities (S, C) and residuals (S, C, N)."""
+    """Likelihoods (S, C, N) over clutter's, prior visibilities (S, C) and residuals (S, C, N)."""
     offset = points[:, None, :] - centres.point_m
     distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)  # (S, C)
     residual = paths.length_m - distance[..., None]
@@ -184,33 +117,17 @@ def _odds(
     same = centres.epoch[:, None] == paths.epoch
     gate = same & (residual**2 < config.gate_sigma**2 * variance)
     density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2.0 * np.pi * variance)
-    chance = np.array(_PRIOR)[centres.bounces] * config.detection_probability
-    possible = np.ones(distance.shape, dtype=bool)
+    relative = density / config.clutter_density * _loss_ratio(paths, centres.bounces)
+    visible = np.broadcast_to(np.array(_PRIOR)[centres.bounces], distance.shape).copy()
     for slot, vrp in walls.items():
-        possible[:, (centres.wall == slot) & (centres.bounces == 1)] &= (wall_side(points, vrp) < 0.0)[
-            :, None
-        ]
-    chance = np.where(possible, chance, 0.0)
-    odds = chance / (1.0 - chance) / config.clutter_density
-    return (
-        np.where(gate, odds[..., None] * density * _loss_ratio(paths, centres.bounces), 0.0),
-        1.0 - chance,
-        residual,
-    )
+        over = (centres.wall == slot) & (centres.bounces == 1)
+        visible[:, over] *= (wall_side(points, vrp) < 0.0)[:, None]
+    return np.where(gate, relative, 0.0), visible, residual
 
 
-def _intersections(centres: Array, radii: Array) -> Array:
-    """Intersections (P, 2, 2) of pairs of circles, centres (P, 2, 2) and radii (P, 2); NaN if apart."""
-    offset = centres[:, 1] - centres[:, 0]
-    distance = np.linalg.norm(offset, axis=1)
-    distance = np.where(distance > 1e-6, distance, np.nan)
-    along = (distance**2 + radii[:, 0] ** 2 - radii[:, 1] ** 2) / (2.0 * distance)
-    height2 = radii[:, 0] ** 2 - along**2
-    height = np.sqrt(np.where(height2 > -1.0, np.maximum(height2, 0.0), np.nan))
-    unit = offset / distance[:, None]
-    foot = centres[:, 0] + along[:, None] * unit
-    side = np.stack([-unit[:, 1], unit[:, 0]], axis=1) * height[:, None]
-    return np.stack([foot + side, foot - side], axis=1)
+def _odds(relative: Array, chance: Array) -> Array:
+    """Association ratios (S, C, N) of features that are measured with probability ``chance`` (S, C)."""
+    return np.asarray((chance / (1.0 - chance))[..., None] * relative)
 
 
 def _seeds(centres: Centres, paths: PathBatch, epochs: NDArray[np.int64]) -> Array:
@@ -223,7 +140,7 @@ def _seeds(centres: Centres, paths: PathBatch, epochs: NDArray[np.int64]) -> Arr
     a, b = np.triu_indices(len(c), 1)
     apart = (c[a] != c[b]) & (p[a] != p[b])
     a, b = a[apart], b[apart]
-    points = _intersections(
+    points = intersections(
         np.stack([centres.point_m[c[a]], centres.point_m[c[b]]], axis=1),
         np.stack([paths.length_m[p[a]], paths.length_m[p[b]]], axis=1),
     ).reshape(-1, 2)
@@ -250,7 +167,8 @@ def _refine(
     """Gauss-Newton on the likeliest label of each centre; points (S, 2), information (S, 2, 2)."""
     information = np.zeros((len(points), 2, 2))
     for _ in range(6):
-        ratio, _, residual = _odds(points, centres, paths, walls, config)
+        relative, visible, residual = _likelihood(points, centres, paths, walls, config)
+        ratio = _odds(relative, visible * config.detection_probability)
         best = np.argmax(ratio, axis=-1)[..., None]
         weight = np.take_along_axis(ratio, best, axis=-1)[..., 0]
         weight = weight / (1.0 + weight)
@@ -309,8 +227,9 @@ def locate(
     now_paths = PathBatch(*(column[heard] for column in vars(paths).values()))
     scores = []
     for chunk in np.array_split(seeds, max(1, len(seeds) // 512)):
-        ratio, miss, _ = _odds(chunk, now, now_paths, walls, config)
-        scores.append(np.sum(np.log(miss) + np.log1p(ratio.sum(axis=-1)), axis=-1))
+        relative, visible, _ = _likelihood(chunk, now, now_paths, walls, config)
+        chance = visible * config.detection_probability
+        scores.append(np.sum(np.log1p(chance * (relative.sum(axis=-1) - 1.0)), axis=-1))
     score = np.concatenate(scores)
     points = seeds[_distinct(seeds, score, 0.7, 150)]
     points, information = _refine(points, centres, paths, walls, config)
@@ -343,18 +262,42 @@ def _weigh(
     walls: dict[int, Array],
     config: GaussianConfig,
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Log evidence (S,), labels (S, C) and numbers of explained first-order paths (S,)."""
-    ratio, miss, _ = _odds(points, centres, paths, walls, config)
-    total = np.sum(np.log(miss), axis=-1)
-    label, heard = np.full(ratio.shape[:2], -1), np.zeros(ratio.shape[:2], dtype=bool)
-    for epoch in np.unique(paths.epoch):
-        rows, columns = np.flatnonzero(centres.epoch == epoch), np.flatnonzero(paths.epoch == epoch)
-        association = associate(ratio[:, rows][:, :, columns])
-        total = total + association.log_evidence
-        share = association.probability
-        likely = share.max(axis=-1) > _SURE
-        label[:, rows] = np.where(likely, columns[np.argmax(share, axis=-1)], -1)
-        heard[:, rows] = share.sum(axis=-1) > 0.5
+    """Log evidence (S,), labels (S, C) and numbers of explained first-order features (S,).
+
+    Over a few epochs a feature is visible all along or not at all: belief propagation between
+    the epochs' associations tells which. A feature counts if most epochs heard it.
+    """
+    relative, prior, _ = _likelihood(points, centres, paths, walls, config)
+    epochs = np.unique(centres.epoch)
+    shape = (len(points), epochs.size, -1)  # the centres of each epoch come in the same order
+    order = np.argsort(centres.epoch, kind="stable")
+    rows, prior = order.reshape(epochs.size, -1), prior[:, order].reshape(shape)[:, 0]
+    label, heard = np.full(relative.shape[:2], -1), np.zeros(relative.shape[:2])
+    log_ratio = np.zeros((len(points), *rows.shape))  # of being visible, over not
+    contest = np.zeros((len(points), epochs.size))
+    pd = config.detection_probability
+    for _ in range(2 if epochs.size > 1 else 1):
+        for e, epoch in enumerate(epochs):
+            columns = np.flatnonzero(paths.epoch == epoch)
+            others = log_ratio.sum(axis=1) - log_ratio[:, e]
+            visible = prior / (prior + (1.0 - prior) * np.exp(-np.clip(others, -50.0, 50.0)))
+            here = relative[:, rows[e]][:, :, columns]
+            ratio = _odds(here, pd * visible)
+            association = associate(ratio)
+            told = here * association.message
+            log_ratio[:, e] = np.log(1.0 - pd + pd * told.sum(axis=-1))
+            own = np.log1p((ratio * association.message).sum(axis=-1)).sum(axis=-1)
+            contest[:, e] = association.log_evidence - own
+            share = association.probability
+            heard[:, rows[e]] = share.sum(axis=-1)
+            likely = share.max(axis=-1, initial=0.0) > _SURE
+            if columns.size:
+                label[:, rows[e]] = np.where(likely, columns[np.argmax(share, axis=-1)], -1)
+    total = np.sum(np.log(1.0 - prior + prior * np.exp(np.minimum(log_ratio.sum(axis=1), 300.0))), axis=-1)
+    total = total + contest.sum(axis=-1)
+    for vrp in walls.values():
+        total = total + np.where(wall_side(points, vrp) > 0.0, _BEHIND_LOG_PRIOR, 0.0)
     area = np.pi * config.region_m**2  # the prior, and Laplace's approximation of the integral
     total = total - 0.5 * np.linalg.slogdet(information)[1] + np.log(2.0 * np.pi / area)
-    return total, label, np.sum(heard & (centres.bounces < 2), axis=-1)
+    often = heard[:, rows].mean(axis=1) > 0.5
+    return total, label, np.sum(often & (centres.bounces[rows[0]] < 2), axis=-1)

@@ -3,10 +3,10 @@
 A wall not yet known shows as one anchor's path whose length changes steadily. Over a
 stretch of track its virtual anchor lies on a circle round the agent; how well the
 bearing is known depends on how the agent turns. So a wall is born as a *bank* of
-bearings, each a narrow Gaussian with the weight that the stretch gives it, and
-later epochs decide between them. Two tests keep walls out that cannot be: the bounce
-must not lie behind a known wall, and the new wall must not stand in the way of
-reflections that were heard.
+bearings, each a narrow Gaussian with the weight that the stretch gives it (and with a prior
+that is even in the wall's direction), and later epochs decide between them. Two tests keep walls
+out that cannot be: the bounce must not lie behind the stretch of a known wall that reflects, and the
+new wall must not stand in the way of paths that were heard.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ from estimator.slam.virtual_anchors import vrp_by_image, vrp_of_image
 __all__ = ["Bank", "Line", "find_line", "wall_bank"]
 
 Array = NDArray[np.float64]
+_MOST_PARTS = 12  # of the spacing of bearings
+_SPAN_MARGIN_M = 1.0  # where a wall ends is known no better
+_BLOCKED = 2  # pieces of paths that go through a wall if it is not there
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +130,7 @@ def wall_bank(
     device: Array,
     walls: Array,
     spans: Array,
+    legs: Array,
     config: GaussianConfig,
 ) -> Bank | None:
     """Walls that would explain a line of path lengths, or None if none can be.
@@ -145,43 +149,73 @@ def wall_bank(
         Known VRPs.
     spans : ndarray, shape (L, 2)
         Stretch along each of them that is known to reflect.
+    legs : ndarray, shape (S, 2, 2)
+        Straight pieces of paths heard lately (:class:`estimator.slam.hindsight.Hindsight`).
     config : GaussianConfig
         ``birth_spacing_rad``, ``prune_nats`` and the test radius.
     """
     anchor = device[:2]
     flat = np.sqrt(np.maximum((line.length_m - device[3]) ** 2 - device[2], 1.0))
+    variance = line.std_m**2 + position_std**2
     bearing = np.arange(0.0, 2.0 * np.pi, config.birth_spacing_rad)
+    spacing = np.full(bearing.size, config.birth_spacing_rad)
+    image, cost = _images(bearing, flat, variance, position)
+    parts = _parts(image, cost, anchor, config)
+    spacing = np.repeat(spacing / parts, parts)
+    within = np.arange(spacing.size) - np.repeat(np.cumsum(parts) - parts, parts)
+    bearing = np.repeat(bearing, parts) + spacing * (within - 0.5 * (np.repeat(parts, parts) - 1))
+    image, cost = _images(bearing, flat, variance, position)
+    vrp = vrp_of_image(image, anchor)
+    fits = cost < 0.5 * len(line.epoch) + config.prune_nats
+    fits &= cost - cost[fits].min(initial=np.inf) < config.prune_nats
+    fits &= np.linalg.norm(vrp, axis=1) > 1.0
+    fits &= _can_be(vrp, image, position, anchor, walls, spans, legs, config)
+    index = np.flatnonzero(fits)
+    if index.size == 0:
+        return None
+    unit = image[index] - position[-1]
+    reach = np.linalg.norm(unit, axis=1)
+    unit /= reach[:, None]
+    along = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+    width = 0.7 * spacing[index] * reach
+    spread = width[:, None, None] ** 2 * along[:, :, None] * along[:, None, :]
+    spread += 0.3**2 * unit[:, :, None] * unit[:, None, :]
+    jacobian = np.array([vrp_by_image(point, anchor) for point in image[index]])
+    covariance = jacobian @ spread @ np.swapaxes(jacobian, 1, 2) + 0.05**2 * np.eye(2)
+    turn = (
+        spacing[index] * reach / np.linalg.norm(image[index] - anchor, axis=1)
+    )  # angle each bearing stands for
+    log_weight = -config.birth_trust * (cost[index] - cost[index].min()) + np.log(turn)
+    return Bank(vrp[index], covariance, log_weight - log_weight.max())
+
+
+def _images(bearing: Array, flat: Array, variance: Array, position: Array) -> tuple[Array, Array]:
+    """The virtual anchor (B, 2) that fits a stretch best, on each bearing from its end, and its cost (B,)."""
     unit = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     here = position[-1]
     reach = np.full(bearing.size, flat[-1])
-    variance = line.std_m**2 + position_std**2
-    for _ in range(8):  # best distance of the virtual anchor on each bearing
+    for _ in range(8):
         offset = here + reach[:, None] * unit - position[:, None, :]  # (N, B, 2)
         distance = np.linalg.norm(offset, axis=-1)
         slope = np.sum(offset * unit, axis=-1) / distance
         error = flat[:, None] - distance
         weight = slope / variance[:, None]
         reach = reach + np.sum(weight * error, axis=0) / np.maximum(np.sum(weight * slope, axis=0), 1e-3)
-    cost = 0.5 * np.sum(error**2 / variance[:, None], axis=0)
-    image = here + reach[:, None] * unit
+    return here + reach[:, None] * unit, 0.5 * np.sum(error**2 / variance[:, None], axis=0)
+
+
+def _parts(image: Array, cost: Array, anchor: Array, config: GaussianConfig) -> NDArray[np.int64]:
+    """In how many parts (B,) to divide the spacing round each bearing.
+
+    A wall near the anchor turns much faster than the bearing of its image; no part may move the VRP
+    farther than walls are told apart.
+    """
     vrp = vrp_of_image(image, anchor)
-    fits = cost < 0.5 * len(line.epoch) + config.prune_nats
-    fits &= cost - cost[fits].min(initial=np.inf) < config.prune_nats
-    fits &= np.linalg.norm(vrp, axis=1) > 1.0
-    fits &= _can_be(vrp, image, position, anchor, walls, spans, config)
-    index = np.flatnonzero(fits)
-    if index.size == 0:
-        return None
-    mean, covariance = [], []
-    for i in index:
-        along = np.array([-unit[i, 1], unit[i, 0]])
-        spread = (0.7 * config.birth_spacing_rad * reach[i]) ** 2 * np.outer(along, along)
-        spread += 0.3**2 * np.outer(unit[i], unit[i])
-        jacobian = vrp_by_image(image[i], anchor)
-        mean.append(vrp[i])
-        covariance.append(jacobian @ spread @ jacobian.T + 0.05**2 * np.eye(2))
-    log_weight = -config.birth_trust * (cost[index] - cost[index].min())
-    return Bank(np.array(mean), np.array(covariance), log_weight)
+    step = np.linalg.norm(np.roll(vrp, -1, axis=0) - vrp, axis=1)
+    step = np.maximum(step, np.roll(step, 1))
+    plausible = cost - cost.min() < 2.0 * config.prune_nats
+    parts = np.where(plausible, np.ceil(step / config.confirm_radius_m), 1.0)
+    return np.asarray(np.clip(parts, 1, _MOST_PARTS).astype(np.int64))
 
 
 def _can_be(
@@ -191,6 +225,7 @@ def _can_be(
     anchor: Array,
     walls: Array,
     spans: Array,
+    legs: Array,
     config: GaussianConfig,
 ) -> NDArray[np.bool_]:
     """Whether new walls (B,) contradict nothing that is known."""
@@ -206,15 +241,18 @@ def _can_be(
     begin, end = foot + along.min(axis=0)[:, None] * tangent, foot + along.max(axis=0)[:, None] * tangent
     for wall, span in zip(walls, spans, strict=True):
         fine &= np.linalg.norm(vrp - wall, axis=1) > config.confirm_radius_m
+        span = span + np.array([_SPAN_MARGIN_M, -_SPAN_MARGIN_M])
         if not span[1] > span[0]:
             continue
         normal = wall / np.linalg.norm(wall)
         across = np.array([-normal[1], normal[0]])
         left, right = 0.5 * wall + span[0] * across, 0.5 * wall + span[1] * across
-        legs = segments_cross(position[:, None, :], bounce, left, right)
-        legs |= segments_cross(anchor, bounce, left, right)
-        fine &= ~np.any(legs, axis=0)
+        through = segments_cross(position[:, None, :], bounce, left, right)
+        through |= segments_cross(anchor, bounce, left, right)
+        fine &= np.sum(through, axis=0) < _BLOCKED
         fine &= ~segments_cross(begin, end, left, right)
-    # the new wall would stand between agent and anchor, or across the track
+    # the new wall would stand in the way of what was heard, or across the track
+    blocked = segments_cross(legs[:, :1], legs[:, 1:], begin, end)
+    fine &= np.sum(blocked, axis=0) < _BLOCKED
     fine &= ~segments_cross(position[0], position[-1], begin, end)
     return np.asarray(fine)

@@ -19,7 +19,8 @@ from estimator.errors import InputError
 from estimator.measurements import Epoch
 from estimator.slam.births import find_line, wall_bank
 from estimator.slam.config import GaussianConfig
-from estimator.slam.hypotheses import tidy
+from estimator.slam.hindsight import look_back
+from estimator.slam.hypotheses import moments, tidy
 from estimator.slam.locate import locate_anchors
 from estimator.slam.memory import clutter_density, remember, widen_spans
 from estimator.slam.motion import predict_motion
@@ -33,7 +34,11 @@ from estimator.slam.virtual_births import bear_virtual_anchors, shorter_than_sig
 __all__ = ["step"]
 
 Array = NDArray[np.float64]
-_FIRST_EPOCHS = 8  # in which an unknown clock bias leaves more places of the anchors open
+_EXPECTED = (
+    0.7  # a bounce tells how far a wall extends if it was expected this surely: one hit may be clutter
+)
+_SETTLED_M = 1.5  # standard deviation of an anchor from which walls may be born
+_FIRST_EPOCHS = 8  # in which more places of the anchors are kept
 
 
 def step(
@@ -73,7 +78,7 @@ def step(
                 f"at {state.time_s} s"
             )
         state = _predict(state, epoch.time_s - state.time_s, config)
-    if config.clock_bias_std_m > 0.0 and len(state.trail) < _FIRST_EPOCHS:
+    if len(state.trail) < _FIRST_EPOCHS:
         config = config.widened()
     state = replace(state, epoch=epoch.index, time_s=epoch.time_s)
     paths = stack_paths(epoch, state.carrier_hz)
@@ -111,6 +116,7 @@ def _correct(state: GaussianState, paths: PathTable, config: GaussianConfig) -> 
         config,
         clutter,
     )
+    expected = rows.visibility[done.parent]
     rows = rows.take(done.parent)
     weight = rows.log_weight + done.log_evidence
     if not state.shared:
@@ -126,7 +132,8 @@ def _correct(state: GaussianState, paths: PathTable, config: GaussianConfig) -> 
         log_weight=weight - evidence,
     )
     state = replace(state, rows=rows, log_evidence=state.log_evidence + evidence)
-    span = widen_spans(state, rows.best, done.heard[rows.best])
+    again = np.where(expected[rows.best] > _EXPECTED, done.heard[rows.best], 0.0)
+    span = widen_spans(state, rows.best, again)
     return replace(state, slots=replace(state.slots, span_m=span)), done.explained[rows.best]
 
 
@@ -135,14 +142,20 @@ def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:
     if state.slots.pending.size:
         return state
     line = find_line(state.loose, state.epoch, config)
-    rows, best = state.rows, state.rows.best
-    if line is None or not rows.located[best, line.anchor]:
+    if line is None or not _settled(state, line.anchor):
         return state
+    past = look_back(state, config)
+    state = past.state
+    line = find_line(state.loose, state.epoch, config)
+    if line is None or not _settled(state, line.anchor):
+        return state
+    rows, best = state.rows, state.rows.best
     mean, present = rows.mean[best], rows.present[best]
     anchor = mean[state.layout.anchor(line.anchor)]
     trail = state.trail[np.searchsorted(state.trail[:, 0], line.epoch)]
     walls = mean[state.layout.walls].reshape(-1, 2)[present]
-    bank = wall_bank(line, trail[:, 1:3], trail[:, 3], anchor, walls, state.slots.span_m[present], config)
+    spans = state.slots.span_m[present]
+    bank = wall_bank(line, trail[:, 1:3], trail[:, 3], anchor, walls, spans, past.legs, config)
     if bank is None:
         return state
     state, slot = open_slot(state)
@@ -163,3 +176,13 @@ def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:
         next_wall_id=state.next_wall_id + 1,
         heard=heard,
     )
+
+
+def _settled(state: GaussianState, k: int) -> bool:
+    """Whether the hypotheses agree on the place of anchor ``k``: of a misplaced one, false walls are born."""
+    rows, place = state.rows, state.layout.anchor_xy(k)
+    if not rows.located[:, k].all():
+        return False
+    weight = np.exp(rows.log_weight)
+    _, covariance = moments(weight / weight.sum(), rows.mean[:, place], rows.covariance[:, place, place])
+    return bool(np.trace(covariance) < _SETTLED_M**2)

@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 
 from estimator.slam.anchors import (
     Candidates,
-    Centres,
     PathBatch,
     best_of,
     evidence_at,
-    images_of_agent,
     locate,
 )
+from estimator.slam.circles import Centres, images_of_agent
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths
 from estimator.slam.hypotheses import tidy
 from estimator.slam.kalman import kalman
+from estimator.slam.labellings import labellings
 from estimator.slam.paths import PathTable
 from estimator.slam.slots import fresh_visibility
-from estimator.slam.state import GaussianState, Rows
+from estimator.slam.state import GaussianState, Rows, log_sum_exp
 
 __all__ = ["locate_anchors"]
 
@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 _BIAS_STEP_M = 1.0  # spacing of the clock biases that are tried
 _MOST_BIASES = 10  # searched for further anchors
 _STRIDE = 4  # epochs between those of a window that are searched
+_ODDS = 1.0  # that a feature is measured
+_MARGIN_NATS = 2.0  # by which a place must beat those that explain too little, and no place at all
 _RIVAL_LOG_PRIOR = -3.0  # log odds that a located anchor is elsewhere after all
 _KNOWN_M2 = 1e-12  # variance of an anchor known from the start, left by rounding where rows were merged
 _PRIOR_STD_M = 10.0  # of an anchor started from one epoch, whose paths all enter the joint Gaussian
@@ -52,10 +54,11 @@ def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfi
     config : GaussianConfig
         Models.
     """
+    early = len(state.trail) < _STRIDE
     for k in range(state.layout.anchors):
         waiting = np.flatnonzero(~state.rows.located[:, k])
         located = waiting.size == 0
-        if located and not _doubtful(state, k, config):
+        if (located and not _doubtful(state, k, config)) or (state.epoch % _STRIDE and not early):
             continue
         groups = (
             [np.array([state.rows.best])] if located else _alike(state.rows, waiting, state.layout.bias(k))
@@ -99,17 +102,18 @@ def _forks(
     now = centres.epoch == state.epoch
     epochs = np.unique(batch.epoch).size
     fresh = np.sum((found.label >= 0) & now & (centres.bounces < 2), axis=1)
-    enough = (found.matches >= config.start_matches * min(epochs, 2)) & (fresh >= 2)
+    enough = (found.matches >= config.start_matches - (epochs > 1)) & (fresh >= 2)
     if located:
         here = state.rows.mean[state.rows.best, state.layout.anchor(k)][None, :2]
         rival = np.linalg.norm(found.mean_m - here, axis=1) > config.restart_distance_m
         bias = state.rows.mean[first, state.layout.bias(k)]
         shifted = replace(batch, length_m=np.maximum(batch.length_m - bias, 1e-3))
         enough &= rival & (found.log_evidence > evidence_at(here, centres, shifted, walls, config)[0])
-    if not enough.any():
+    rest = max(float(found.log_evidence[~enough].max(initial=0.0)), 0.0)
+    if not found.log_evidence[enough].max(initial=-np.inf) > rest + _MARGIN_NATS:
         return None
     chosen = Candidates(*(getattr(found, entry.name)[enough] for entry in fields(found)))
-    return _fork(state, paths, k, rows, chosen, centres, epochs > 1, config)
+    return _fork(state, paths, k, rows, chosen, centres, walls, config)
 
 
 def _search(
@@ -143,7 +147,7 @@ def _doubtful(state: GaussianState, k: int, config: GaussianConfig) -> bool:
     """Whether so much of a located anchor goes unexplained that its place should be checked."""
     place = state.layout.anchor_xy(k)
     known = np.trace(state.rows.covariance[state.rows.best, place, place]) < _KNOWN_M2
-    if known or state.epoch % 4 or len(state.trail) < 4:
+    if known or state.epoch % _STRIDE or len(state.trail) < _STRIDE:
         return False
     loose = state.loose
     count = np.sum(loose[:, 1] == k)
@@ -165,12 +169,12 @@ def _gather(
     centres = [images_of_agent(mean[:2], variance, walls, spread, slots, state.epoch)]
     table = [paths.length_m[k, :n], paths.std_m[k, :n], paths.excess_loss_db[k, :n]]
     heard = [np.column_stack([np.full(n, state.epoch), *table])]
-    if state.epoch % 4 == 0:
-        for epoch, x, y, std in state.trail[-2::-_STRIDE]:
-            old = state.heard[(state.heard[:, 1] == k) & (state.heard[:, 0] == epoch)]
-            if len(old):
-                centres.append(images_of_agent(np.array([x, y]), std**2, walls, spread, slots, int(epoch)))
-                heard.append(old[:, [0, 2, 3, 4]])
+    stride = 1 if len(state.trail) < _STRIDE else _STRIDE
+    for epoch, x, y, std in state.trail[::-stride]:
+        old = state.heard[(state.heard[:, 1] == k) & (state.heard[:, 0] == epoch)]
+        if len(old):
+            centres.append(images_of_agent(np.array([x, y]), std**2, walls, spread, slots, int(epoch)))
+            heard.append(old[:, [0, 2, 3, 4]])
     joined = Centres(
         *(np.concatenate([getattr(c, entry.name) for c in centres]) for entry in fields(Centres))
     )
@@ -191,19 +195,24 @@ def _fork(
     rows: NDArray[np.int64],
     found: Candidates,
     centres: Centres,
-    windowed: bool,
+    walls: dict[int, Array],
     config: GaussianConfig,
 ) -> Rows:
     """One new row for each of ``rows`` and each candidate place of anchor ``k``.
 
-    The candidates' own covariances are not believed: they come from walls held
-    fixed. Each starts wide, and the labels found take this epoch's paths into the
-    joint Gaussian, where anchor and walls become correlated. Earlier epochs only
+    Neither the candidates' covariances are believed nor their labels: both come from walls
+    held fixed. Each starts wide, and takes this epoch's paths into the joint Gaussian, where anchor
+    and walls become correlated, once for each labelling that may be. Earlier epochs only
     chose the place; their lengths are not used as information again.
     """
     layout = state.layout
-    count = len(found.mean_m)
-    candidate = np.tile(np.arange(count), len(rows))
+    now = np.flatnonzero((centres.epoch == state.epoch) & (centres.bounces < 2))
+    current = Centres(*(column[now] for column in vars(centres).values()))
+    heard = paths.length_m[k][paths.valid[k]]
+    candidate, label = labellings(found, current, heard, walls)
+    count = len(candidate)
+    group = np.repeat(np.arange(len(rows)), count) * len(found.mean_m) + np.tile(candidate, len(rows))
+    candidate, label = np.tile(candidate, len(rows)), np.tile(label, (len(rows), 1))
     new = state.rows.take(np.repeat(rows, count))
     xy, w, b = layout.anchor_xy(k), layout.height2(k), layout.bias(k)
     located = bool(new.located[0, k])
@@ -221,22 +230,22 @@ def _fork(
         new.covariance[:, :, place] = 0.0
         new.mean[:, w] = config.height2_mean_m2
         new.covariance[:, w, w] = config.height2_std_m2**2
-    wide = 9.0 * found.covariance_m2[candidate] + 0.25 * np.eye(2)
-    new.covariance[:, xy, xy] = wide if windowed else _PRIOR_STD_M**2 * np.eye(2)
+    new.covariance[:, xy, xy] = _PRIOR_STD_M**2 * np.eye(2)
     new.visibility[:, k] = fresh_visibility(layout)
 
-    now = np.flatnonzero((centres.epoch == state.epoch) & (centres.bounces < 2))
     feature = np.where(centres.bounces[now] == 0, 0, 1 + centres.wall[now])
-    label = found.label[candidate][:, now]  # this epoch's paths come first in the batch
     known = label >= 0
     prediction = predict_paths(new.mean, layout)
     length = paths.length_m[k][np.maximum(label, 0)]
     std = np.maximum(paths.std_m[k][np.maximum(label, 0)], config.range_std_m)
-    mean, covariance, _ = kalman(
+    mean, covariance, log_density = kalman(
         new.mean,
         new.covariance,
         np.where(known[..., None], prediction.jacobian[:, k, feature], 0.0),
         np.where(known, length - prediction.length_m[:, k, feature], 0.0),
         np.where(known, std**2, 0.5 / np.pi),
     )
-    return replace(new, mean=mean, covariance=covariance)
+    log_density += np.sum(known, axis=1) * np.log(_ODDS / config.clutter_density)
+    for g in np.unique(group):
+        log_density[group == g] -= log_sum_exp(log_density[group == g])
+    return replace(new, mean=mean, covariance=covariance, log_weight=new.log_weight + log_density)

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.measurements import Epoch
-from estimator.slam.anchors import Candidates, Centres, PathBatch, images_of_agent, locate
+from estimator.slam.anchors import Candidates, PathBatch, locate
+from estimator.slam.circles import Centres, images_of_agent
 from estimator.slam.config import GaussianConfig
 from estimator.slam.particle_cloud import Cloud, gaussian_cloud, moments_of, systematic
 from estimator.slam.particle_config import ParticleConfig

@@ -25,8 +25,8 @@ __all__ = ["Correction", "correct", "predicted_variance"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_SURE = 0.98  # association probability beyond doubt
-_APART = 0.7  # a row splits if the alternatives move it by more than this many standard deviations
+_SURE = 0.998  # association probability beyond doubt
+_APART = 0.5  # a row splits if the alternatives move it by more than this many standard deviations
 _CERTAIN = 1e12
 
 
