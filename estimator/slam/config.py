@@ -74,6 +74,9 @@ class GaussianConfig:
         Its bearing must be known this well.
     virtual_alike_epochs : float
         For so many epochs the track's errors are alike: its first covariance allows for it.
+    virtual_forgetting : float
+        Share of the log weights of hypotheses that is forgotten in every epoch: on a straight
+        track they tell no virtual anchor from its mirror image, yet walk at random.
     confirm_support : int
         Fresh detections before a wall counts as found.
     confirm_weight : float
@@ -124,6 +127,7 @@ class GaussianConfig:
     virtual_evidence: float = 20.0
     virtual_bearing_std_rad: float = 0.2
     virtual_alike_epochs: float = 16.0
+    virtual_forgetting: float = 0.05
     confirm_support: int = 5
     confirm_weight: float = 0.98
     confirm_radius_m: float = 3.0
@@ -149,6 +153,7 @@ class GaussianConfig:
                 "clock_bias_std_m",
                 "start_std_m",
                 "clock_bias_common",
+                "virtual_forgetting",
             )
             if not signed and (value < 0 or (value == 0 and not zero)):
                 raise ConfigurationError(

@@ -94,6 +94,14 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         share = weight[know] / weight[know].sum()
         return _turned(state, *moments(share, rows.mean[know], rows.covariance[know]), (xy,))
 
+    def wall(slot: int) -> Wall:
+        """A wall in the rows that have it where the likeliest has it."""
+        xy = layout.wall(slot)
+        near = np.linalg.norm(rows.mean[:, xy] - rows.mean[best, xy], axis=1) < config.confirm_radius_m
+        standing = rows.present[:, slot] & near
+        existence = min(float(weight[standing].sum()), 1.0)
+        return Wall(int(state.slots.wall_id[slot]), *place(standing, xy), existence)
+
     valid = rows.located[best].copy()
     anchors, anchor_covariances = (
         np.full((layout.anchors, 2), np.nan),
@@ -104,15 +112,8 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         anchor_existence[k] = min(float(weight[rows.located[:, k]].sum()), 1.0)
         xy = layout.anchor_xy(int(k))
         anchors[k], anchor_covariances[k] = place(rows.located[:, k], xy)
-    walls: list[Wall] = []
-    if not state.shared:
-        walls = virtual_walls(state, weight)
-    for slot in np.flatnonzero(state.slots.confirmed & rows.present[best] & state.shared).tolist():
-        xy = layout.wall(slot)
-        near = np.linalg.norm(rows.mean[:, xy] - rows.mean[best, xy], axis=1) < config.confirm_radius_m
-        standing = rows.present[:, slot] & near
-        existence = min(float(weight[standing].sum()), 1.0)
-        walls.append(Wall(int(state.slots.wall_id[slot]), *place(standing, xy), existence))
+    found = np.flatnonzero(state.slots.confirmed & rows.present[best]).tolist()
+    walls = [wall(slot) for slot in found] if state.shared else virtual_walls(state, weight)
     return Estimate(
         agent[0],
         agent[1],

@@ -120,6 +120,7 @@ def _correct(state: GaussianState, paths: PathTable, config: GaussianConfig) -> 
     rows = rows.take(done.parent)
     weight = rows.log_weight + done.log_evidence
     if not state.shared:
+        weight -= config.virtual_forgetting * rows.log_weight
         weight += shorter_than_sight(done, paths, state.layout, config, clutter)
     evidence = log_sum_exp(weight)
     heard = np.any(done.heard[:, :, 1 : 1 + state.layout.slots] > 0.5, axis=1)

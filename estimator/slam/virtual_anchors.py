@@ -25,12 +25,12 @@ def vrp_of_image(image: Array, anchor: Array) -> Array:
 
 
 def vrp_by_image(image: Array, anchor: Array) -> Array:
-    """Jacobian (2, 2) of the VRP by the virtual anchor."""
+    """Jacobians (..., 2, 2) of VRPs by virtual anchors (..., 2) of anchors (..., 2)."""
     chord = image - anchor
-    square = chord @ chord
-    scale = (image @ image - anchor @ anchor) / square
-    by_scale = 2.0 * image / square - 2.0 * scale * chord / square
-    return np.asarray(np.outer(chord, by_scale) + scale * np.eye(2))
+    square = np.sum(chord * chord, axis=-1)[..., None, None]
+    rise = (np.sum(image * image, axis=-1) - np.sum(anchor * anchor, axis=-1))[..., None, None]
+    by_scale = 2.0 * (image[..., None, :] - rise / square * chord[..., None, :])
+    return np.asarray((chord[..., :, None] * by_scale + rise * np.eye(2)) / square)
 
 
 class VirtualAnchors:

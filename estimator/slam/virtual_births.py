@@ -169,6 +169,22 @@ def _suffix(gain: Array) -> tuple[Array, NDArray[np.int64]]:
     return best, gain.shape[-1] - 1 - length
 
 
+def _kept_up(recent: Recent) -> Array:
+    """The paths of the last two epochs that most of the epochs before have too.
+
+    By the triangle inequality a path to a point changes by no more than the agent moves.
+    """
+    last = len(recent.position_m) - 1
+    latest = recent.length_m[recent.step >= last - 1]
+    before = np.flatnonzero(recent.step > last - _LEAST_EPOCHS)
+    step = recent.step[before]
+    moved = np.linalg.norm(recent.position_m[step] - recent.position_m[-1], axis=1)
+    reach = moved + 4.0 * np.sqrt(2.0 * recent.variance_m2[step])
+    near = np.abs(recent.length_m[before] - latest[:, None]) < reach  # (S, N)
+    epochs = np.array([np.unique(step[row]).size for row in near], dtype=np.int64)
+    return latest[epochs > _LEAST_EPOCHS // 2]
+
+
 def search(recent: Recent, config: GaussianConfig) -> Modes | None:
     """The best-supported virtual anchor among recent paths, if it is known well enough.
 
@@ -184,7 +200,7 @@ def search(recent: Recent, config: GaussianConfig) -> Modes | None:
     Modes or None
     """
     detection = config.detection_probability
-    latest = recent.length_m[recent.step >= len(recent.position_m) - 2]
+    latest = _kept_up(recent)
     if latest.size == 0:
         return None
     std = float(np.sqrt(recent.variance_m2.mean()))

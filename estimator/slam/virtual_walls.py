@@ -53,22 +53,20 @@ def virtual_walls(state: GaussianState, weight: Array) -> list[Wall]:
     """
     rows, layout, best = state.rows, state.layout, int(np.argmax(weight))
     places = VirtualAnchors(rows.mean, layout)
+    anchor = places.anchor[:, state.slots.owner]
+    vrp = vrp_of_image(places.point, anchor)
+    by_slot = np.stack([places.outward, places.reach[..., None] * places.across], axis=-1)
+    linear = vrp_by_image(places.point, anchor) @ by_slot  # (R, L, 2, 2)
+    free = layout.walls.start + layout.per_slot * np.arange(layout.slots)[:, None] + np.arange(2)
+    covariance = linear @ rows.covariance[:, free[:, :, None], free[:, None, :]] @ linear.swapaxes(-1, -2)
+    away = places.point - places.point[best]
+    there = rows.present & (away[..., 0] ** 2 + away[..., 1] ** 2 < _SAME_M**2)
+    chance = weight @ there
     walls: list[Wall] = []
     for slot in np.flatnonzero(state.slots.confirmed & rows.present[best]).tolist():
-        anchor = places.anchor[best, state.slots.owner[slot]]
-        away = np.linalg.norm(places.point[:, slot] - places.point[best, slot], axis=1)
-        there = np.flatnonzero(rows.present[:, slot] & (away < _SAME_M))
-        free = slice(layout.wall(slot).start, layout.wall(slot).start + 2)
-        means, covariances = [], []
-        for r in there:
-            outward, across = places.outward[r, slot], places.across[r, slot]
-            by_slot = np.stack([outward, places.reach[r, slot] * across], axis=1)
-            linear = vrp_by_image(places.point[r, slot], anchor) @ by_slot
-            means.append(vrp_of_image(places.point[r, slot], anchor))
-            covariances.append(linear @ rows.covariance[r, free, free] @ linear.T)
-        chance = float(weight[there].sum())
-        vrp = moments(weight[there] / chance, np.array(means), np.array(covariances))
-        _add(walls, Wall(int(state.slots.wall_id[slot]), *vrp, min(chance, 1.0)))
+        share = weight * there[:, slot] / chance[slot]
+        mean, spread = moments(share, vrp[:, slot], covariance[:, slot])
+        _add(walls, Wall(int(state.slots.wall_id[slot]), mean, spread, min(float(chance[slot]), 1.0)))
     return sorted(walls, key=lambda wall: wall.wall_id)
 
 
