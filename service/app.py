@@ -8,6 +8,7 @@ from importlib import metadata
 
 import anyio
 from fastapi import FastAPI
+from starlette.middleware.body_limit import RequestBodyLimitMiddleware
 
 from service import problems
 from service.auth import KeyRing
@@ -62,11 +63,16 @@ def create_app(settings: Settings) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         responses=problems.PROBLEM_RESPONSES,
-        max_body_size=settings.max_body_bytes,
     )
     app.state.context = here
     problems.install(app)
-    app.add_middleware(RequestMiddleware, metrics=here.metrics, timeout_s=settings.request_timeout_s)
+    app.add_middleware(RequestBodyLimitMiddleware, max_body_size=settings.max_body_bytes)
+    app.add_middleware(
+        RequestMiddleware,
+        metrics=here.metrics,
+        timeout_s=settings.request_timeout_s,
+        max_body_bytes=settings.max_body_bytes,
+    )
     for module in (health, sessions, echoes, measurements, uploads, state, events, pages):
         app.include_router(module.router)
     return app

@@ -15,6 +15,7 @@ __all__ = [
     "StepTimeoutError",
     "TooLargeError",
     "TooManyError",
+    "UnsupportedMediaError",
     "WorkerDiedError",
 ]
 
@@ -49,6 +50,10 @@ class ForbiddenError(ServiceError):
 
 class TooLargeError(ServiceError):
     """The request exceeds a size that the operator set."""
+
+
+class UnsupportedMediaError(ServiceError):
+    """The body is of a type, or packed in a way, that the route does not read."""
 
 
 class TooManyError(ServiceError):

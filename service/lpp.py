@@ -18,15 +18,15 @@ from pydantic import Field, model_validator
 from estimator.errors import InputError
 from estimator.measurements import AnchorPaths, Epoch
 from estimator.waveform import SPEED_OF_LIGHT_M_S
-from service.schemas import Finite, Name, Number, Request
+from service.schemas import Finite, Integer, Name, Number, Request
 
 __all__ = ["TC_INVERSE_HZ", "LppEpoch", "TrpMeasurement"]
 
 TC_INVERSE_HZ = 480_000 * 4096
 _RESOLUTION_M = {"mdot1": 0.1, "m1": 1.0, "m10": 10.0, "m30": 30.0}
 
-K = Annotated[int, Field(ge=-6, le=5)]
-Ticks = Annotated[int, Field(ge=-(2**40), le=2**40)]
+K = Annotated[Integer, Field(ge=-6, le=5)]
+Ticks = Annotated[Integer, Field(ge=-(2**40), le=2**40)]
 
 
 class ScaledTime(Request):
@@ -43,7 +43,7 @@ class ScaledTime(Request):
 class TimingQuality(Request):
     """``timingQualityValue`` times the resolution: one standard deviation as a length."""
 
-    timingQualityValue: Annotated[int, Field(ge=0, le=31)]
+    timingQualityValue: Annotated[Integer, Field(ge=0, le=31)]
     timingQualityResolution: Literal["mdot1", "m1", "m10", "m30"]
 
     def std_s(self) -> float:
@@ -106,9 +106,9 @@ class TrpMeasurement(Request):
 class TimeStamp(Request):
     """Frame and slot; with the hyper frame, times ascend for hours instead of 10.24 s."""
 
-    hyperSfn: Annotated[int, Field(ge=0, le=1_000_000)] = 0
-    sfn: Annotated[int, Field(ge=0, le=1023)]
-    slot: Annotated[int, Field(ge=0, le=159)] = 0
+    hyperSfn: Annotated[Integer, Field(ge=0, le=1_000_000)] = 0
+    sfn: Annotated[Integer, Field(ge=0, le=1023)]
+    slot: Annotated[Integer, Field(ge=0, le=159)] = 0
     scs: Literal["kHz15", "kHz30", "kHz60", "kHz120"] = "kHz120"
 
     @model_validator(mode="after")

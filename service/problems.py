@@ -10,9 +10,11 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
+from starlette.middleware.body_limit import MAX_BODY_SIZE_SCOPE_KEY
+from starlette.routing import Match
 
 from estimator.errors import HapslamError
-from service.errors import ConflictError
+from service.errors import ConflictError, UnsupportedMediaError
 from service.refusals import refusal
 
 __all__ = ["PROBLEM_RESPONSES", "install", "problem"]
@@ -74,14 +76,11 @@ async def _on_error(request: Request, error: Exception) -> JSONResponse:
 
 async def _on_validation(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)
-    found = [
-        {
-            "where": ".".join(str(part) for part in entry["loc"]),
-            "expected": entry["msg"].encode("utf-8", "replace").decode(),
-            "got": _short(entry.get("input")),
-        }
-        for entry in error.errors()[:_SHOWN]
-    ]
+    if any(entry["loc"] == ("body",) and isinstance(entry.get("input"), bytes) for entry in error.errors()):
+        given = request.headers.get("content-type", "none")[:_WIDTH]
+        expected = "expected a body of the type application/json"
+        return problem(UnsupportedMediaError(f"{expected}, got {given}"), _request_id(request))
+    found = [_violation(entry, error.body) for entry in error.errors()[:_SHOWN]]
     first = found[0] if found else {"where": "request", "expected": "something else", "got": ""}
     detail = f"{first['where']}: {first['expected']}, got {first['got']}"
     return _document(
@@ -89,13 +88,46 @@ async def _on_validation(request: Request, error: Exception) -> JSONResponse:
     )
 
 
+def _violation(entry: dict[str, Any], body: Any) -> dict[str, str]:
+    """Where a request is not what was expected, what that was, and what came."""
+    where, expected, got = entry["loc"], entry["msg"], _short(entry.get("input"))
+    if entry["type"] == "missing":
+        got = "nothing"
+    elif entry["type"] == "json_invalid":
+        place = int(where[-1])
+        where, expected = where[:-1], f"{expected} at character {place}: {entry['ctx']['error']}"
+        got = _short(str(body)[max(0, place - 10) : place + 10])
+    return {
+        "where": ".".join(str(part) for part in where),
+        "expected": expected.encode("utf-8", "replace").decode(),
+        "got": got,
+    }
+
+
 async def _on_http(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
-    response = _document(
-        error.status_code, "http", "The request was refused", str(error.detail), _request_id(request)
-    )
-    response.headers.update(error.headers or {})
+    asked, limit = f"{request.method} {request.url.path[:_WIDTH]}", request.scope.get(MAX_BODY_SIZE_SCOPE_KEY)
+    headers = dict(error.headers or {})
+    if error.status_code == 405:
+        headers["Allow"] = ", ".join(_methods(request))
+    detail = {
+        404: f"expected an address that /docs tells of, got {asked}",
+        405: f"expected {headers.get('Allow')}, got {asked}",
+        413: f"body: expected at most {limit} bytes, got more",
+    }.get(error.status_code, str(error.detail))
+    response = _document(error.status_code, "http", "The request was refused", detail, _request_id(request))
+    response.headers.update(headers)
     return response
+
+
+def _methods(request: Request) -> list[str]:
+    """What can be done at the address of a request."""
+    asked = {**request.scope, "path_params": {}}
+    return [
+        method
+        for method in ("GET", "POST", "PUT", "DELETE")
+        if any(route.matches({**asked, "method": method})[0] is Match.FULL for route in request.app.routes)
+    ]
 
 
 def _short(value: object) -> str:

@@ -17,6 +17,7 @@ from service.errors import (
     StepTimeoutError,
     TooLargeError,
     TooManyError,
+    UnsupportedMediaError,
     WorkerDiedError,
 )
 
@@ -54,6 +55,7 @@ _TABLE: tuple[tuple[type[BaseException], Refusal], ...] = (
     (AuthenticationError, Refusal(401, "authentication", "An API key is needed")),
     (ForbiddenError, Refusal(403, "forbidden", "Not allowed from there")),
     (TooLargeError, Refusal(413, "too-large", "Too large")),
+    (UnsupportedMediaError, Refusal(415, "media-type", "Of another media type")),
     (TooManyError, Refusal(429, "too-many-sessions", "Too many sessions", 3600)),
     (BusyError, Refusal(429, "busy", "Busy", 1)),
     (StepTimeoutError, Refusal(422, "step-too-long", "The step took too long")),

@@ -5,17 +5,19 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from estimator.arrays import AntennaArray, UniformLinearArray, UniformPlanarArray
 from estimator.errors import InputError
 from estimator.geometry import rotation_matrix
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp
+from estimator.slam.run import ENGINES, METHODS
 
 __all__ = [
     "ChannelsQuery",
     "Finite",
     "Flash",
+    "Integer",
     "Name",
     "Number",
     "ReflectionPoint",
@@ -28,9 +30,18 @@ __all__ = [
     "Wall",
 ]
 
-Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]
-Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1e15)]
-Number = Annotated[int, Field(ge=0, le=2**31 - 2)]
+
+def _number(value: object) -> object:
+    """JSON's ``true`` and ``"1"`` are no numbers, its ``1.0`` is an integer."""
+    if isinstance(value, (bool, str)):
+        raise ValueError("expected a number")
+    return value
+
+
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e9, le=1e9)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]
+Integer = Annotated[int, BeforeValidator(_number)]
+Number = Annotated[Integer, Field(ge=0, le=2**31 - 2)]
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Pair = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 Matrix = Annotated[list[Pair], Field(min_length=2, max_length=2)]
@@ -69,9 +80,9 @@ class SessionRequest(Request):
     )
 
     name: Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = ""
-    method: Annotated[str, Field(max_length=50)] = "hybrid"
-    engine: Annotated[str, Field(max_length=50)] = "gaussian"
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+    method: Annotated[str, Field(max_length=50, json_schema_extra={"enum": list(METHODS)})] = "hybrid"
+    engine: Annotated[str, Field(max_length=50, json_schema_extra={"enum": list(ENGINES)})] = "gaussian"
+    seed: Annotated[Integer, Field(ge=0, le=2**63 - 1)] = 0
     anchors: Annotated[list[Name], Field(min_length=1, max_length=1000)]
     carrier_hz: Positive
     measurement_model: Annotated[
@@ -198,7 +209,9 @@ class SiEpoch(Request):
     sweep: Annotated[list[Wall], Field(max_length=1000)] = Field(
         default_factory=list, description="Walls that a beam sweep at this epoch saw, relative to the agent."
     )
-    heading_held: bool = Field(True, description="Whether the agent's axes are still those of the start.")
+    heading_held: bool = Field(
+        True, strict=True, description="Whether the agent's axes are still those of the start."
+    )
 
     def estimator_epoch(self, names: list[str]) -> Epoch:
         """The epoch in the estimator's terms.
@@ -236,7 +249,7 @@ class ChannelsQuery(Request):
     rows: Annotated[int, Field(ge=1, le=64)] = 1
     spacing_wavelengths: Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)] = 0.5
     row_spacing_wavelengths: Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)] = 0.5
-    boresight_rad: Finite = 0.0
+    boresight_rad: Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)] = 0.0
     lying: bool = Field(False, description="Whether rows are one ahead of, not above, the other.")
     orientation: Literal["fixed", "travel"] = Field(
         "fixed", description="Whether the agent keeps its axes or turns them with its track."

@@ -40,8 +40,11 @@ def test_sizes_are_limited(
         many = epochs_request(0, 1)
         many["epochs"][0]["anchors"]["pa1"] = {"delay_s": [1e-7] * 31, "delay_std_s": [1e-10] * 31}
         assert client.post(f"{url}/epochs", json=many).status_code == 413
-        assert client.post(f"{url}/epochs", content=b"[" * 20_001).status_code == 413
-        assert client.post(f"{url}/epochs", content=iter([b"[" * 15_000] * 2)).status_code == 413
+        for body, got in ((b"[" * 20_001, "20001"), (iter([b"[" * 15_000] * 2), "more")):
+            answer = client.post(f"{url}/epochs", content=body)
+            assert answer.status_code == 413
+            assert answer.headers["content-type"] == "application/problem+json"
+            assert answer.json()["detail"] == f"body: expected at most 20000 bytes, got {got}"
         assert client.get(url).json()["next_epoch"] == 0
         assert client.post("/v1/sessions", json=make_request()).status_code == 201
         full = client.post("/v1/sessions", json=make_request())
@@ -69,6 +72,9 @@ def _epoch(anchors: bytes) -> bytes:
         _epoch(b'{"pa1": {"delay_s": [0], "delay_std_s": [1]}}'),
         _epoch(b'{"pa1": {"delay_s": [1, 2], "delay_std_s": [1]}}'),
         _epoch(b'{"pa1": {"delay_s": [1]}}'),
+        _epoch(b'{"pa1": {"delay_s": ["1e-7"], "delay_std_s": [1e-10]}}'),
+        b'{"epochs": [{"epoch": false, "time_s": 0, "anchors": {}}]}',
+        b'{"epochs": [{"epoch": 0, "time_s": true, "anchors": {}}]}',
         _epoch(b'{"\\u0000": {"delay_s": [], "delay_std_s": []}}'),
         _epoch(b'{"\\ud800": {"delay_s": [], "delay_std_s": []}}'),
         b'{"epochs": 1' + b"0" * 5000 + b"}",
@@ -111,6 +117,47 @@ def test_problems_say_where_and_what(client: TestClient) -> None:
     assert problem["errors"][0]["where"] == "body.carrier_hz"
     assert problem["errors"][0]["got"] == "'fast'"
     assert problem["request_id"] == answer.headers["X-Request-Id"] == "abc-1"
+
+
+_JSON = "application/json"
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "headers", "content", "status", "detail"),
+    [
+        ("GET", "/nowhere", {}, b"", 404, "expected an address that /docs tells of, got GET /nowhere"),
+        ("PATCH", "/v1/sessions", {}, b"", 405, "expected GET, POST, got PATCH /v1/sessions"),
+        ("POST", "/v1/sessions", {"Content-Type": "text/plain"}, b"{}", 415, "got text/plain"),
+        ("POST", "/v1/sessions", {"Content-Type": _JSON, "Content-Encoding": "gzip"}, b"{}", 415, "got gzip"),
+        ("POST", "/v1/sessions", {"Content-Type": _JSON}, b'{"a" 1}', 422, "at character 5"),
+        (
+            "POST",
+            "/v1/sessions",
+            {"Content-Type": _JSON},
+            b"{}",
+            422,
+            "body.anchors: Field required, got nothing",
+        ),
+    ],
+)
+def test_errors_have_one_shape(
+    client: TestClient,
+    method: str,
+    path: str,
+    headers: dict[str, str],
+    content: bytes,
+    status: int,
+    detail: str,
+) -> None:
+    """Also of what no route sees: a problem document that says what was expected and what came."""
+    answer = client.request(method, path, headers=headers, content=content)
+    problem = answer.json()
+    assert answer.status_code == problem["status"] == status
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert detail in problem["detail"]
+    assert problem["type"].startswith("urn:hapslam:problem:")
+    assert problem["request_id"] == answer.headers["X-Request-Id"]
+    assert answer.headers.get("Allow") == ("GET, POST" if status == 405 else None)
 
 
 def test_a_full_queue_is_told_to_come_again(
