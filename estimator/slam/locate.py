@@ -16,7 +16,7 @@ from estimator.slam.anchors import (
 )
 from estimator.slam.circles import Centres, images_of_agent
 from estimator.slam.config import GaussianConfig
-from estimator.slam.features import predict_paths
+from estimator.slam.features import predict_paths, wall_side
 from estimator.slam.hypotheses import tidy
 from estimator.slam.kalman import kalman
 from estimator.slam.labellings import labellings
@@ -32,6 +32,7 @@ _MOST_BIASES = 10  # searched for further anchors
 _STRIDE = 4  # epochs between those of a window that are searched
 _ODDS = 1.0  # that a feature is measured
 _MARGIN_NATS = 2.0  # by which a place must beat those that explain too little, and no place at all
+_RECHECK = 8  # epochs between doubts of a located anchor
 _RIVAL_LOG_PRIOR = -3.0  # log odds that a located anchor is elsewhere after all
 _KNOWN_M2 = 1e-12  # variance of an anchor known from the start, left by rounding where rows were merged
 _PRIOR_STD_M = 10.0  # of an anchor started from one epoch, whose paths all enter the joint Gaussian
@@ -106,6 +107,7 @@ def _forks(
     if located:
         here = state.rows.mean[state.rows.best, state.layout.anchor(k)][None, :2]
         rival = np.linalg.norm(found.mean_m - here, axis=1) > config.restart_distance_m
+        rival &= _behind(found.mean_m, walls) <= _behind(here, walls)  # its images explain much, too
         bias = state.rows.mean[first, state.layout.bias(k)]
         shifted = replace(batch, length_m=np.maximum(batch.length_m - bias, 1e-3))
         enough &= rival & (found.log_evidence > evidence_at(here, centres, shifted, walls, config)[0])
@@ -114,6 +116,11 @@ def _forks(
         return None
     chosen = Candidates(*(getattr(found, entry.name)[enough] for entry in fields(found)))
     return _fork(state, paths, k, rows, chosen, centres, walls, config)
+
+
+def _behind(points: Array, walls: dict[int, Array]) -> NDArray[np.int64]:
+    """Number of known walls behind which points (S, 2) stand."""
+    return np.sum([wall_side(points, vrp) > 0.0 for vrp in walls.values()], axis=0, dtype=np.int64)
 
 
 def _search(
@@ -147,7 +154,10 @@ def _doubtful(state: GaussianState, k: int, config: GaussianConfig) -> bool:
     """Whether so much of a located anchor goes unexplained that its place should be checked."""
     place = state.layout.anchor_xy(k)
     known = np.trace(state.rows.covariance[state.rows.best, place, place]) < _KNOWN_M2
-    if known or state.epoch % _STRIDE or len(state.trail) < _STRIDE:
+    if known or state.epoch % _RECHECK or len(state.trail) < _STRIDE:
+        return False
+    first = state.rows.visibility[state.rows.best, k, : 1 + state.layout.slots]
+    if np.sum(first * state.active()[state.rows.best, k, : len(first)] > 0.5) >= config.start_matches - 1:
         return False
     loose = state.loose
     count = np.sum(loose[:, 1] == k)

@@ -7,12 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimator.measurements import AnchorPaths
 from estimator.slam import GaussianConfig, start, step
 from estimator.slam.anchors import Candidates, PathBatch, evidence_at
 from estimator.slam.circles import images_of_agent
+from estimator.slam.features import reflect
 from estimator.slam.hindsight import look_back
 from estimator.slam.labellings import labellings
+from estimator.slam.locate import locate_anchors
+from estimator.slam.paths import stack_paths
 from estimator.slam.run import config_for, run_slam
+from estimator.waveform import SPEED_OF_LIGHT_M_S
 
 CONFIG = GaussianConfig(clutter_mean=1.0)
 WALLS = {0: np.array([40.0, 0.0]), 1: np.array([0.0, -30.0])}
@@ -134,3 +139,35 @@ def test_anchors_that_start_late_at_full_length(room):
     assert np.sqrt(np.mean(error[kept] ** 2)) < 0.25
     assert np.sum(false) <= 4
     assert np.median(nees[kept]) < 2.5
+
+
+def test_an_anchor_is_not_taken_for_its_own_image(room):
+    """Paths that the anchor's images behind walls explain best open no rival places there, inside they do."""
+    measured = room.measure(62, epochs=41, clutter_mean=0.0)
+    config = config_for(measured)
+    state = start(measured.walls, measured.anchors, measured.carrier_hz, config)
+    for epoch in measured.epochs[:-1]:
+        state = step(state, epoch, config)
+    state = replace(state, epoch=40)  # the epoch in which the anchor is doubted
+    rows, layout = state.rows, state.layout
+    anchor = rows.mean[rows.best, layout.anchor_xy(0)]
+    walls = rows.mean[rows.best, layout.walls].reshape(-1, 2)
+    one, other = np.nonzero(~np.eye(len(walls), dtype=bool))
+    images = reflect(reflect(np.repeat(anchor[None], one.size, axis=0), walls[one]), walls[other])
+    inside = 0.5 * anchor + 0.1 * walls.sum(axis=0)
+    for place, opened in [(image, False) for image in images] + [(inside, True)]:
+        hidden = np.where(np.arange(2)[:, None] == 0, 0.0, rows.visibility)
+        heard = [state.heard[state.heard[:, 1] == 1]]
+        for t, x, y, _ in np.concatenate([state.trail, [[40, *state.trail[-1, 1:]]]]):
+            copies = np.array([[x, y], *reflect(np.repeat([[x, y]], len(walls), axis=0), walls)])
+            length = np.linalg.norm(copies - place, axis=1)
+            path = np.broadcast_to([t, 0.0, 0.0, 0.1, np.nan, 1.0], (len(length), 6)).copy()
+            path[:, 2] = length
+            heard.append(path)
+        now = heard.pop()[:, 2]
+        table = AnchorPaths(now / SPEED_OF_LIGHT_M_S, np.full(now.size, 0.1 / SPEED_OF_LIGHT_M_S))
+        epoch = replace(measured.epochs[-1], paths=(table, measured.epochs[-1].paths[1]))
+        doubting = replace(state, rows=replace(rows, visibility=hidden), heard=np.concatenate(heard))
+        after = locate_anchors(doubting, stack_paths(epoch, state.carrier_hz), config)
+        elsewhere = np.linalg.norm(after.rows.mean[:, layout.anchor_xy(0)] - anchor, axis=1) > 2.0
+        assert elsewhere.any() == opened
