@@ -120,7 +120,10 @@ def _forks(
 
 def _behind(points: Array, walls: dict[int, Array]) -> NDArray[np.int64]:
     """Number of known walls behind which points (S, 2) stand."""
-    return np.sum([wall_side(points, vrp) > 0.0 for vrp in walls.values()], axis=0, dtype=np.int64)
+    behind = np.zeros(len(points), dtype=np.int64)
+    for vrp in walls.values():
+        behind += wall_side(points, vrp) > 0.0
+    return behind
 
 
 def _search(
