@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from service.bench.server import running
 from service.client import Client
 
-__all__ = ["MemoryUse", "measure_memory"]
+__all__ = ["POSTED", "MemoryUse", "measure_memory"]
 
 _SESSIONS, _BATCH = 8, 100
+POSTED = f"{_SESSIONS} sessions of one wall, {_BATCH} epochs a request, one anchor over one path"
 _WARM_SHARE = 0.2  # of the epochs before memory is first looked at
 
 
@@ -56,7 +57,8 @@ def measure_memory(epochs: int, workers: int = 2) -> MemoryUse:
                 client.post_epochs(session, entries)
             if turn + 1 == warm:
                 warm_mib = server.memory_mib()
-        return MemoryUse(rounds * _BATCH * _SESSIONS, warm_mib, server.memory_mib())
+        taken_in = sum(client.session(session)["next_epoch"] for session in sessions)
+        return MemoryUse(taken_in, warm_mib, server.memory_mib())
 
 
 def _session(client: Client) -> str:

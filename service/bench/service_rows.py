@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 
 from service.bench.load import LoadConfig, measure_load
-from service.bench.memory import measure_memory
+from service.bench.memory import POSTED, measure_memory
 from service.bench.rows import Row
 from service.bench.server import running
 from service.client import Client
@@ -46,7 +46,7 @@ def rows(quick: bool) -> Iterator[Row]:
     yield Row(f"{what}: errors", load["errors"], "", 0.0)
     yield Row(f"{_LARGE} epochs in one request", _large_s(1 if quick else 3), "s", _LARGE_BAR_S)
     memory = measure_memory(4_000 if quick else 100_000)
-    name = f"memory of all processes: growth over {memory.epochs} epochs after the first fifth"
+    name = f"memory of all processes ({POSTED}): growth over {memory.epochs} epochs after the first fifth"
     yield Row(name, max(memory.growth_mib, 0.0), "MiB", _GROWTH_BAR_MIB)
 
 

@@ -26,6 +26,8 @@ from service.telemetry import configure_logs
 from tests.service.harness import Server
 
 BODIES = int(os.environ.get("HAPSLAM_TEST_BODIES", "200"))
+_LIMITS = {"max_body_bytes": 2**20, "max_unpacked_bytes": 2**26}
+_PEAK_MIB = 512.0  # how far above its start memory may rise: some copies of what may be unpacked
 EXAMPLES = int(os.environ.get("HAPSLAM_TEST_EXAMPLES", "5"))
 
 
@@ -34,7 +36,7 @@ def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FastAPI]:
     """One running application for all generated requests, with a session in it."""
     configure_logs()
     file = tmp_path_factory.mktemp("fuzz") / "hapslam.db"
-    application = create_app(load_settings(database_url=f"sqlite:///{file}", workers=0, max_body_bytes=2**20))
+    application = create_app(load_settings(database_url=f"sqlite:///{file}", workers=0, **_LIMITS))
     with TestClient(application, base_url="http://localhost", client=("127.0.0.1", 5000)):
         yield application
 
@@ -87,12 +89,12 @@ def test_answers_are_as_described(database: str, walk: MeasurementSet, phases: s
 
 
 def _mutants(seeds: list[bytes], rng: random.Random) -> Iterator[bytes]:
-    """Broken copies: cut, with bytes flipped, doubled, spliced, or with wild numbers."""
+    """Broken copies: cut, with bytes flipped, doubled, spliced, far too long, or with wild numbers."""
     words = [b"NaN", b"Infinity", b"-1e999", b"1e308", b"null", b'"\\ud800"', b"[" * 500, b"{}", b"9" * 400]
     while True:
         body = bytearray(rng.choice(seeds))
         for _ in range(rng.randint(1, 4)):
-            kind, at = rng.randrange(6), rng.randrange(len(body) + 1)
+            kind, at = rng.randrange(7), rng.randrange(len(body) + 1)
             if kind == 0:
                 del body[at:]
             elif kind == 1 and body:
@@ -104,6 +106,8 @@ def _mutants(seeds: list[bytes], rng: random.Random) -> Iterator[bytes]:
                 body[at : at + rng.randrange(40)] = rng.choice(words)
             elif kind == 4:
                 body[at:at] = rng.randbytes(rng.randrange(100))
+            elif kind == 5 and rng.random() < 0.1:
+                body += body[-1:] * _LIMITS["max_body_bytes"]
             else:
                 del body[at : at + rng.randrange(100)]
             if not body:
@@ -139,7 +143,9 @@ def test_broken_bodies_never_break_the_service(
         anchor=np.array(walk.anchors),
         tone_offset_hz=np.arange(16) * 1e5,
     )
-    files = [stream.getvalue(), (tmp_path / "walk.nc").read_bytes()]
+    bomb = io.BytesIO()
+    np.savez_compressed(bomb, cfr_re=np.zeros(2 * _LIMITS["max_unpacked_bytes"] // 8))
+    files = [stream.getvalue(), (tmp_path / "walk.nc").read_bytes(), bomb.getvalue()]
     json_type, binary = "application/json", "application/octet-stream"
     seeds, path, content_type = {
         "epochs": ([json.dumps(epochs_request(0, 2)).encode()], f"{url}/epochs", json_type),
@@ -150,8 +156,16 @@ def test_broken_bodies_never_break_the_service(
         "uploads": (files, "/v1/uploads", binary),
     }[route]
     mutants = _mutants(seeds, rng)
-    for _ in range(BODIES // 6):
+    Path("/proc/self/clear_refs").write_text("5")  # forget the peak of memory so far
+    start_mib = _memory_mib("VmRSS")
+    for _ in range(-(-BODIES // 6)):
         body = next(mutants)
         answer = client.post(path, content=body, headers={"Content-Type": content_type})
         assert answer.status_code < 500, (answer.status_code, answer.text, body[:2000])
     assert client.post("/v1/sessions", json=make_request()).status_code == 201
+    assert _memory_mib("VmHWM") - start_mib < _PEAK_MIB
+
+
+def _memory_mib(entry: str) -> float:
+    status = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in status if line.startswith(entry)) / 1024
