@@ -23,7 +23,7 @@ from estimator.errors import FileFormatError
 __all__ = ["SlamResult", "load_result", "save_result"]
 
 FORMAT = "hapslam-result"
-VERSION = 1
+VERSION = 2
 
 _SHAPES: dict[str, tuple[tuple[str, ...], str]] = {
     "epoch": (("epoch",), "1"),
@@ -40,6 +40,12 @@ _SHAPES: dict[str, tuple[tuple[str, ...], str]] = {
     "wall_covariance_m2": (("epoch", "wall", "xy", "xy2"), "m2"),
     "hypotheses": (("epoch",), "1"),
     "log_evidence": (("epoch",), "1"),
+    "anchor_existence": (("epoch", "anchor"), "1"),
+    "wall_existence": (("epoch", "wall"), "1"),
+    "candidate_weight": (("epoch", "candidate"), "1"),
+    "candidate_agent_m": (("epoch", "candidate", "xy"), "m"),
+    "candidate_wall_id": (("candidate_wall",), "1"),
+    "candidate_wall_mean_m": (("epoch", "candidate", "candidate_wall", "xy"), "m"),
 }
 
 
@@ -79,6 +85,14 @@ class SlamResult:
         Number of hypotheses kept.
     log_evidence : ndarray, shape (T,)
         Log of the evidence accumulated up to the epoch.
+    anchor_existence, wall_existence : ndarray, shapes (T, K) and (T, L)
+        Probability that the anchor, or the confirmed wall, is there.
+    candidate_weight, candidate_agent_m : ndarray, shapes (T, C) and (T, C, 2)
+        The likeliest hypotheses, the likeliest first: their probabilities, and where the agent would be.
+    candidate_wall_id : ndarray of int64, shape (M,)
+        Identity of each wall that any of them has at any epoch, unconfirmed ones included.
+    candidate_wall_mean_m : ndarray, shape (T, C, M, 2)
+        The walls of each hypothesis as VRPs, NaN for those that it has not.
     settings : mapping
         Resolved configuration of the run and of its measurements (JSON types).
     dataset : str or None
@@ -103,6 +117,12 @@ class SlamResult:
     wall_covariance_m2: NDArray[np.float64]
     hypotheses: NDArray[np.int64]
     log_evidence: NDArray[np.float64]
+    anchor_existence: NDArray[np.float64]
+    wall_existence: NDArray[np.float64]
+    candidate_weight: NDArray[np.float64]
+    candidate_agent_m: NDArray[np.float64]
+    candidate_wall_id: NDArray[np.int64]
+    candidate_wall_mean_m: NDArray[np.float64]
     settings: Mapping[str, Any] = field(default_factory=dict)
     dataset: str | None = None
 

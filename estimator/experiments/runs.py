@@ -137,6 +137,8 @@ def unmirrored(result: SlamResult, room: Room) -> SlamResult:
         anchor_covariance_m2=result.anchor_covariance_m2 * both,
         wall_mean_m=result.wall_mean_m * flip,
         wall_covariance_m2=result.wall_covariance_m2 * both,
+        candidate_agent_m=result.candidate_agent_m * flip,
+        candidate_wall_mean_m=result.candidate_wall_mean_m * flip,
     )
 
     def misfit(candidate: SlamResult) -> float:

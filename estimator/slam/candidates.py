@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from estimator.geometry import rotation_matrix
 from estimator.slam.state import GaussianState
 from estimator.slam.virtual_anchors import implied_walls
 
-__all__ = ["LEAST_WEIGHT", "MOST", "Candidate", "candidates"]
+__all__ = ["LEAST_WEIGHT", "MOST", "Candidate", "candidates", "stacked_candidates"]
 
 MOST = 8  # candidates told of an estimate
 LEAST_WEIGHT = 1e-3  # of a candidate worth telling
@@ -62,3 +64,21 @@ def candidates(
             Candidate(float(weight[r]), turn @ mean[:2], state.slots.wall_id[present], vrps @ turn.T)
         )
     return tuple(found)
+
+
+def stacked_candidates(told: Sequence[tuple[Candidate, ...]]) -> dict[str, NDArray[Any]]:
+    """The candidates of all epochs as the arrays of a :class:`estimator.result.SlamResult`, by name."""
+    epochs, most = len(told), max(map(len, told), default=0)
+    ids = np.unique(np.concatenate([[], *(one.wall_id for found in told for one in found)])).astype(np.int64)
+    weight, agent = np.full((epochs, most), np.nan), np.full((epochs, most, 2), np.nan)
+    walls = np.full((epochs, most, ids.size, 2), np.nan)
+    for t, found in enumerate(told):
+        for c, one in enumerate(found):
+            weight[t, c], agent[t, c] = one.weight, one.agent_m
+            walls[t, c, np.searchsorted(ids, one.wall_id)] = one.wall_mean_m
+    return {
+        "candidate_weight": weight,
+        "candidate_agent_m": agent,
+        "candidate_wall_id": ids,
+        "candidate_wall_mean_m": walls,
+    }

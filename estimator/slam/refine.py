@@ -233,6 +233,8 @@ def _result(
     nowhere = ~located
     anchors, anchor_covariances = smoothed.anchor_mean_m.copy(), smoothed.anchor_covariance_m2.copy()
     anchors[:, nowhere], anchor_covariances[:, nowhere] = np.nan, np.nan
+    walls, track = smoothed.wall_mean_m[:, order], smoothed.agent_mean[:, :2]
+    existence = result.wall_existence[-1, np.searchsorted(result.wall_id, wall_id[order])]
     return replace(
         result,
         engine="smoother",
@@ -244,7 +246,13 @@ def _result(
         anchor_covariance_m2=anchor_covariances,
         wall_id=wall_id[order],
         wall_valid=np.ones((epochs, len(wall_id)), dtype=bool),
-        wall_mean_m=smoothed.wall_mean_m[:, order],
+        wall_mean_m=walls,
         wall_covariance_m2=smoothed.wall_covariance_m2[:, order],
         hypotheses=np.ones(epochs, dtype=np.int64),
+        anchor_existence=np.tile(result.anchor_existence[-1], (epochs, 1)),
+        wall_existence=np.tile(existence, (epochs, 1)),
+        candidate_weight=np.ones((epochs, 1)),
+        candidate_agent_m=track[:, None],
+        candidate_wall_id=wall_id[order],
+        candidate_wall_mean_m=walls[:, None],
     )

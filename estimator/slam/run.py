@@ -12,6 +12,7 @@ from estimator.errors import ConfigurationError
 from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
 from estimator.slam import methods
+from estimator.slam.candidates import stacked_candidates
 from estimator.slam.config import GaussianConfig
 from estimator.slam.engine import Engine, GaussianEngine, Prior, epoch_rng
 from estimator.slam.estimate import Estimate
@@ -146,10 +147,12 @@ def collect(
     wall_valid = np.zeros((epochs, ids.size), dtype=bool)
     wall_mean = np.full((epochs, ids.size, 2), np.nan)
     wall_covariance = np.full((epochs, ids.size, 2, 2), np.nan)
+    wall_existence = np.full((epochs, ids.size), np.nan)
     for t, e in enumerate(estimates):
         columns = np.searchsorted(ids, e.wall_id)
         wall_valid[t, columns] = True
         wall_mean[t, columns], wall_covariance[t, columns] = e.wall_mean_m, e.wall_covariance_m2
+        wall_existence[t, columns] = e.wall_existence
 
     def stacked(name: str, *shape: int) -> np.ndarray[Any, np.dtype[np.float64]]:
         return np.array([getattr(e, name) for e in estimates], dtype=np.float64).reshape(epochs, *shape)
@@ -173,6 +176,9 @@ def collect(
         wall_covariance_m2=wall_covariance,
         hypotheses=stacked("hypotheses").astype(np.int64),
         log_evidence=stacked("log_evidence"),
+        anchor_existence=stacked("anchor_existence", anchors),
+        wall_existence=wall_existence,
+        **stacked_candidates([e.candidates for e in estimates]),
         settings=dict(settings),
         dataset=measurements.dataset,
     )

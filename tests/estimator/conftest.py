@@ -86,6 +86,12 @@ def make_result(truth: xr.Dataset) -> Callable[..., SlamResult]:
             "wall_covariance_m2": np.tile(0.01 * np.eye(2), (EPOCHS, len(vrps), 1, 1)),
             "hypotheses": np.ones(EPOCHS, dtype=np.int64),
             "log_evidence": -np.arange(EPOCHS) * 1.0,
+            "anchor_existence": np.ones((EPOCHS, 2)),
+            "wall_existence": np.ones((EPOCHS, len(vrps))),
+            "candidate_weight": np.ones((EPOCHS, 1)),
+            "candidate_agent_m": agent[:, None, :2],
+            "candidate_wall_id": np.arange(len(vrps)),
+            "candidate_wall_mean_m": np.tile(vrps, (EPOCHS, 1, 1, 1)),
             "settings": {"slam": {"detection_probability": 0.95}},
             "dataset": "room",
         }

@@ -25,6 +25,7 @@ def with_walls(result: SlamResult, vrps: np.ndarray, make: Make, **more: Any) ->
         wall_valid=np.ones((epochs, count), dtype=bool),
         wall_mean_m=np.tile(vrps, (epochs, 1, 1)),
         wall_covariance_m2=np.tile(0.01 * np.eye(2), (epochs, count, 1, 1)),
+        wall_existence=np.ones((epochs, count)),
         **more,
     )
 

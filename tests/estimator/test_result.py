@@ -41,6 +41,7 @@ def test_a_result_without_walls_comes_back(tmp_path: Path, make_result: Make) ->
         wall_valid=full.wall_valid[:, :0],
         wall_mean_m=full.wall_mean_m[:, :0],
         wall_covariance_m2=full.wall_covariance_m2[:, :0],
+        wall_existence=full.wall_existence[:, :0],
     )
     save_result(result, tmp_path / "r.nc")
     assert load_result(tmp_path / "r.nc").wall_mean_m.shape == (len(full.epoch), 0, 2)
