@@ -12,13 +12,13 @@ RUN python -m venv /venv \
  && /venv/bin/pip install --no-cache-dir -c constraints.txt .
 
 FROM python:3.12-slim
-RUN useradd --system --create-home --home-dir /data hapslam
+RUN useradd --uid 10001 --create-home --home-dir /data hapslam
 COPY --from=build /venv /venv
 ENV PATH=/venv/bin:$PATH \
     HAPSLAM_HOST=0.0.0.0 \
     HAPSLAM_PORT=8600 \
     HAPSLAM_DATABASE_URL=sqlite:////data/hapslam.db
-USER hapslam
+USER 10001
 WORKDIR /data
 VOLUME /data
 EXPOSE 8600
