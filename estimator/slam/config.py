@@ -126,7 +126,7 @@ class GaussianConfig:
     virtual_window: int = 150
     virtual_evidence: float = 20.0
     virtual_bearing_std_rad: float = 0.2
-    virtual_alike_epochs: float = 16.0
+    virtual_alike_epochs: float = 8.0
     virtual_forgetting: float = 0.05
     confirm_support: int = 5
     confirm_weight: float = 0.98

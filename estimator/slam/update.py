@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _SURE = 0.998  # association probability beyond doubt
 _APART = 0.5  # a row splits if the alternatives move it by more than this many standard deviations
+_SPLITS = 3  # doubts of one epoch that a row splits for,
+_FEW_ROWS = 32  # or one if there are more rows than these
+_LEAST_CHANCE = 1e-3  # of an alternative worth a row
 _CERTAIN = 1e12
 
 
@@ -141,12 +144,20 @@ def correct(
     association = associate(ratio)
     log_evidence = log_evidence + np.sum(association.log_evidence + np.sum(np.log1p(-rest), axis=-1), axis=-1)
     share, jacobian = association.probability, prediction.jacobian  # (R, K, F, M), (R, K, F, n)
-    parent, decided, log_share = _split(share, ratio, innovation, spread, variance)
-    if decided is not ratio:
-        mean, covariance, log_evidence = mean[parent], covariance[parent], log_evidence[parent] + log_share
-        visibility, active, taken, used = visibility[parent], active[parent], taken[parent], used[parent]
-        spread, innovation, chosen = spread[parent], innovation[parent], chosen[parent]
-        jacobian, share = jacobian[parent], associate(decided).probability
+    parent = np.arange(len(mean))
+    for _ in range(_SPLITS if len(mean) <= _FEW_ROWS else 1):
+        split, decided, log_share = _split(share, ratio, innovation, spread, variance)
+        if decided is ratio:
+            break
+        mean, covariance, log_evidence = mean[split], covariance[split], log_evidence[split] + log_share
+        visibility, active, taken, used = visibility[split], active[split], taken[split], used[split]
+        spread, innovation, chosen, jacobian = (
+            spread[split],
+            innovation[split],
+            chosen[split],
+            jacobian[split],
+        )
+        parent, ratio, share = parent[split], decided, associate(decided).probability
     heard = share.sum(axis=-1)
     weight = np.maximum(heard, 1e-12)
     expected = np.sum(share * innovation, axis=-1) / weight
@@ -172,7 +183,7 @@ def correct(
 def _split(
     share: Array, ratio: Array, innovation: Array, spread: Array, variance: Array
 ) -> tuple[NDArray[np.int64], Array, Array]:
-    """Split rows whose most harmful doubt would blur them, one feature each.
+    """Split rows by their most harmful doubt if it would blur them, one feature each.
 
     A feature whose alternatives (its measurements, or none) would move the state far
     apart, against the uncertainty that each would leave, is decided both ways: one row
@@ -204,7 +215,7 @@ def _split(
             children.append((r, ratio[r], 0.0))
             continue
         chances = np.append(share[r, k, f], max(1.0 - share[r, k, f].sum(), 0.0))
-        for j in np.flatnonzero(chances > 0.01):
+        for j in np.flatnonzero(chances > _LEAST_CHANCE):
             decided = ratio[r].copy()
             decided[k, f] = 0.0
             if j < share.shape[-1]:

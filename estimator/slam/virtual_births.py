@@ -31,8 +31,9 @@ _TRAVEL_SIGMAS = 40.0  # of a window: how far the agent goes in it, range standa
 _COARSEST_RAD = 0.1  # spacing of the bearings
 _MODE_NATS = 10.0  # less likely places are not kept
 _MOST_MODES = 4
-_BLUNT_RAD = 0.12
-_ASIDE = 0.8  # standard deviations
+_BLUNTEST = 1.0
+_NARROWER = 0.6  # allowed where there is one mode alone
+_ASIDE = 0.8  # where the halves of a Gaussian stand, in its standard deviations
 _KEPT_APART_M = 0.5  # virtual anchors of one anchor this close are one
 
 
@@ -83,16 +84,15 @@ class Modes:
         Log probabilities, normalised.
     evidence : float
         Log likelihood of the best over "all is clutter".
-    length_m, step : ndarray, shape (M,)
-        The paths that it explains.
+    told : ndarray of bool, shape (N,)
+        The recent paths that it explains.
     """
 
     mean: Array
     covariance: Array
     log_weight: Array
     evidence: float
-    length_m: Array
-    step: NDArray[np.int64]
+    told: NDArray[np.bool_]
 
 
 def shorter_than_sight(
@@ -258,33 +258,34 @@ def _modes(
     trusted = config.birth_trust * evidence[kept]
     kept = [i for i, value in zip(kept, trusted, strict=True) if trusted[0] - value < _MODE_NATS]
     spread = np.sqrt(covariance[kept, 1, 1])
-    if len(kept) > _MOST_MODES or spread.max() > config.virtual_bearing_std_rad:
+    if len(kept) > _MOST_MODES or spread.max() > _BLUNTEST * config.virtual_bearing_std_rad:
         return None
     log_weight = config.birth_trust * evidence[kept] + np.log(spread)
-    told = np.any(share[kept] > 0.5, axis=0)
-    mean, covariance = place[kept], covariance[kept]
-    if len(kept) == 1 and spread[0] > _BLUNT_RAD:
-        mean, covariance, log_weight = _halves(mean[0], covariance[0])
+    limit = config.virtual_bearing_std_rad * (1.0 if len(kept) > 1 else _NARROWER)
+    parts = [_halved(place[i], covariance[i], w, limit) for i, w in zip(kept, log_weight, strict=True)]
+    mean, spreads, log_weight = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return Modes(
         mean,
-        covariance,
+        spreads,
         log_weight - log_sum_exp(log_weight),
         float(evidence[kept[0]]),
-        recent.length_m[told],
-        recent.step[told],
+        np.any(share[kept] > 0.5, axis=0),
     )
 
 
-def _halves(mean: Array, covariance: Array) -> tuple[Array, Array, Array]:
-    """A Gaussian as two, one on either side of its bearing; the moments stay.
+def _halved(mean: Array, covariance: Array, log_weight: float, limit: float) -> tuple[Array, Array, Array]:
+    """A Gaussian as several whose bearings have standard deviations within ``limit``; the moments stay.
 
-    A single blunt peak lies straight ahead or astern, where a path length has its extreme: the virtual
-    anchor and its mirror image are close together, and a Gaussian across both could not decide.
+    A path length is nearly linear in distance and bearing, but for its extreme straight ahead and
+    astern, where the virtual anchor and its mirror image are close together: no Gaussian may be across.
     """
-    column = covariance[:, 1] / np.sqrt(covariance[1, 1])  # one standard deviation of the bearing
-    aside = _ASIDE * column
+    std = np.sqrt(covariance[1, 1])
+    if std <= limit:
+        return mean[None], covariance[None], np.array([log_weight])
+    aside = _ASIDE * covariance[:, 1] / std
     narrower = covariance - np.outer(aside, aside)
-    return np.stack([mean - aside, mean + aside]), np.stack([narrower] * 2), np.zeros(2)
+    halves = [_halved(mean + s * aside, narrower, log_weight - np.log(2.0), limit) for s in (-1.0, 1.0)]
+    return tuple(np.concatenate(columns) for columns in zip(*halves, strict=True))  # type: ignore[return-value]
 
 
 def bear_virtual_anchors(state: GaussianState, config: GaussianConfig) -> GaussianState:
@@ -328,6 +329,5 @@ def _forget(state: GaussianState, k: int, recent: Recent, modes: Modes) -> Gauss
     heard = state.heard.copy()
     mine = np.flatnonzero((heard[:, 1] == k) & (heard[:, 5] == 1.0))
     mine = mine[len(mine) - len(recent.length_m) :]
-    told = np.isin(recent.length_m, modes.length_m)
-    heard[mine[told], 5] = 0.0
+    heard[mine[modes.told], 5] = 0.0
     return replace(state, heard=heard)

@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths
 from estimator.slam.kalman import kalman
+from estimator.slam.layout import Layout
 from estimator.slam.paths import PathTable
 from estimator.slam.update import correct
 from tests.estimator.slam.test_features import state_of
@@ -101,3 +102,26 @@ def test_a_missed_feature_is_less_visible(room):
     assert np.all(done.visibility[:, :, 1:] == 0.8)
     assert np.array_equal(done.mean[0], mean)
     assert done.log_evidence[0] == pytest.approx(2 * np.log(1 - 0.8 * 0.95))
+
+
+def test_every_doubt_of_an_epoch_is_decided_both_ways():
+    """Two lines of sight missed, clutter near each: a row remains that took neither, and stays put."""
+    layout = Layout(2, 0, shared=False)
+    mean, covariance = np.zeros(layout.size), np.zeros((layout.size, layout.size))
+    mean[layout.anchor(0)], mean[layout.anchor(1)] = (50.0, 0.0, 0.0, 0.0), (0.0, 30.0, 0.0, 0.0)
+    covariance[:2, :2] = np.eye(2)
+    length = np.array([[51.5], [28.2]])  # 1.5 and 1.8 m from where the lines of sight are expected
+    paths = PathTable(length, np.full((2, 1), 0.1), np.full((2, 1), np.nan), np.ones((2, 1), dtype=bool))
+    everywhere = np.ones((1, 2, 1))
+    config = GaussianConfig(range_std_m=0.1, region_m=180.0)
+    done = correct(
+        mean[None], covariance[None], 0.9 * everywhere, everywhere > 0.0, paths, layout, config
+    )  # fmt: skip
+    took = done.heard[..., 0] > 0.5
+    assert sorted(took.tolist()) == [[False, False], [False, True], [True, False], [True, True]]
+    neither = int(np.flatnonzero(~took.any(axis=1))[0])
+    np.testing.assert_allclose(done.mean[neither, :2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(done.covariance[neither], covariance, atol=1e-9)
+    both = int(np.flatnonzero(took.all(axis=1))[0])
+    np.testing.assert_allclose(done.mean[both, :2], [-1.485, 1.78], atol=0.05)
+    assert done.log_evidence[both] > done.log_evidence[neither]

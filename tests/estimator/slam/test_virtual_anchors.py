@@ -151,8 +151,7 @@ def test_a_bend_decides():
     assert np.exp(modes.log_weight).max() > 0.999
     best = int(np.argmax(modes.log_weight))
     assert np.linalg.norm(places_of(recent, modes)[best] - [4.0, 5.0]) < 0.5
-    assert np.mean(np.isin(modes.step, np.arange(120))) == 1.0
-    assert len(modes.length_m) > 90
+    assert 100 < modes.told.sum() < 125
 
 
 def test_too_little_starts_nothing():
