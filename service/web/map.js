@@ -188,6 +188,19 @@ export class MapView {
     c.stroke();
   }
 
+  // The track in pixels, without what lies on one and the same of them.
+  thinned(track) {
+    const kept = [];
+    let last = [Infinity, Infinity];
+    for (const [i, p] of track.entries()) {
+      const at = this.toPixels(this.scene.place(p));
+      if (i < track.length - 1 && Math.abs(at[0] - last[0]) < 0.7 && Math.abs(at[1] - last[1]) < 0.7) continue;
+      kept.push(at);
+      last = at;
+    }
+    return kept;
+  }
+
   truth(truth) {
     const { context: c } = this;
     c.strokeStyle = c.fillStyle = this.colour("true");
@@ -253,7 +266,7 @@ export class MapView {
     }
     c.strokeStyle = agentColour;
     c.lineWidth = 1.8;
-    this.path(track.map((p) => this.toPixels(place(p))));
+    this.path(this.thinned(track));
     for (const anchor of state.anchors) {
       if (!anchor.located) continue;
       const at = this.toPixels(place(anchor.position_m));

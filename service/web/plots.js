@@ -26,12 +26,12 @@ export class Plot {
       ...this.size(),
       title: this.title,
       scales: { x: { time: false } },
-      cursor: { drag: { x: true, y: false } },
+      cursor: { y: false, points: { show: false }, drag: { x: true, y: false } },
       series: [
         { label: "time, s" },
         ...this.series.map(({ label, colour: name, width = 1.5 }) => ({
           label, stroke: colour(name), width, points: { show: false },
-          value: (_, v) => (v == null ? "–" : v.toPrecision(3)),
+          value: (_, v) => (v == null ? "–" : Number.isInteger(v) ? v : v.toPrecision(3)),
         })),
       ],
       axes: [{ ...axis, size: 30 }, axis],
@@ -44,5 +44,10 @@ export class Plot {
   show(data) {
     this.data = data;
     this.plot.setData(data);
+  }
+
+  // Puts the cursor, and with it the figures below, at an epoch.
+  mark(epoch) {
+    if (epoch in this.data[0]) this.plot.setCursor({ left: this.plot.valToPos(this.data[0][epoch], "x"), top: 0 });
   }
 }

@@ -182,6 +182,11 @@ export class SessionView {
       showTruth: $("truth").checked, showCandidates: $("candidates").checked, enlarge: +$("enlarge").value,
     });
     this.facts();
+    this.mark();
+  }
+
+  mark() {
+    for (const plot of Object.values(this.plots)) plot.mark(this.epoch);
   }
 
   facts() {
@@ -218,6 +223,7 @@ export class SessionView {
     this.plots.position.show([c.time_s, each((i) => Math.sqrt(c.variance_x_m2[i] + c.variance_y_m2[i])), each((i) => this.error(i))]);
     this.plots.rotation.show([c.time_s, each((i) => 1e3 * c.rotation_std_rad[i])]);
     this.plots.counts.show([c.time_s, c.walls, c.hypotheses]);
+    this.mark();
   }
 
   restyle() {

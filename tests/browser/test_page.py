@@ -199,7 +199,7 @@ def test_a_map_grows_and_can_be_replayed(
 def test_a_file_becomes_a_session(
     browser: Browser, server: Server, stroll: MeasurementSet, tmp_path: Path
 ) -> None:
-    """A measurement file chosen on the page ends on its map; a wrong one says what was expected."""
+    """A measurement file dropped on the page ends on its map; a wrong one, chosen, says what was expected."""
     file, wrong = tmp_path / "stroll.nc", tmp_path / "wrong.nc"
     save_measurements(stroll, file)
     wrong.write_bytes(b"not a file of measurements")
@@ -208,7 +208,7 @@ def test_a_file_becomes_a_session(
     _choose(browser, wrong)
     browser.wait_for("document.getElementById('notice').innerText.includes('expected a netCDF-4')")
     browser.complaints.clear()  # the browser notes the 422
-    _choose(browser, file)
+    _drop(browser, file)
     browser.wait_for("document.getElementById('facts')?.innerText.includes('29 of 29')")
     assert browser.value("document.getElementById('name').innerText") == "stroll.nc"
     browser.ask("Page.navigate", url=f"{server.url}/docs")
@@ -221,3 +221,36 @@ def _choose(browser: Browser, file: Path) -> None:
     root = browser.ask("DOM.getDocument")["root"]["nodeId"]
     node = browser.ask("DOM.querySelector", nodeId=root, selector="#file")["nodeId"]
     browser.ask("DOM.setFileInputFiles", nodeId=node, files=[str(file)])
+
+
+def _drop(browser: Browser, file: Path) -> None:
+    data = {"items": [], "files": [str(file)], "dragOperationsMask": 1}
+    for step in ("dragEnter", "dragOver", "drop"):
+        browser.ask("Input.dispatchDragEvent", type=step, x=300, y=160, data=data)
+
+
+def test_the_example_runs_from_the_keyboard(browser: Browser, server: Server, tmp_path: Path) -> None:
+    """Enter on its button: the map grows beside the truth; on a phone nothing is wider than the screen."""
+    browser.ask("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)
+    browser.ask("Page.navigate", url=f"{server.url}/")
+    browser.wait_for("document.getElementById('list') && !document.getElementById('list').hidden")
+    browser.value("document.getElementById('example').focus()")
+    _type(browser, "Enter", 13, "\r")
+    browser.wait_for("/Epoch\\s+[1-9]\\d+ of/.test(document.getElementById('facts')?.innerText)")
+    browser.wait_for("document.getElementById('facts').innerText.includes('Error')")
+    browser.value("document.getElementById('slider').focus()")
+    _type(browser, "Home", 36)
+    browser.wait_for("document.getElementById('facts').innerText.includes('0 of')")
+    before = browser.value("document.getElementById('map').toDataURL()")
+    browser.value("document.getElementById('map').focus()")
+    _type(browser, "+", 187, "+")
+    assert browser.value("document.getElementById('map').toDataURL()") != before
+    assert browser.value("document.documentElement.scrollWidth") <= 390
+    browser.shot(tmp_path, "phone")
+    assert browser.complaints == []
+
+
+def _type(browser: Browser, key: str, code: int, text: str = "") -> None:
+    for step in ("keyDown", "keyUp"):
+        typed = {"text": text} if text and step == "keyDown" else {}
+        browser.ask("Input.dispatchKeyEvent", type=step, key=key, windowsVirtualKeyCode=code, **typed)
