@@ -29,7 +29,8 @@ _SURE = 0.998  # association probability beyond doubt
 _APART = 0.5  # a row splits if the alternatives move it by more than this many standard deviations
 _SPLITS = 3  # doubts of one epoch that a row splits for,
 _FEW_ROWS = 32  # or one if there are more rows than these
-_LEAST_CHANCE = 1e-3  # of an alternative worth a row
+_LEAST_CHANCE = 1e-3  # of an alternative worth a row,
+_MOST_CHANCES = 30  # of which a doubt has at most so many
 _CERTAIN = 1e12
 
 
@@ -145,7 +146,9 @@ def correct(
     log_evidence = log_evidence + np.sum(association.log_evidence + np.sum(np.log1p(-rest), axis=-1), axis=-1)
     share, jacobian = association.probability, prediction.jacobian  # (R, K, F, M), (R, K, F, n)
     parent = np.arange(len(mean))
-    for _ in range(_SPLITS if len(mean) <= _FEW_ROWS else 1):
+    for turn in range(_SPLITS):
+        if turn and len(mean) > _FEW_ROWS:
+            break
         split, decided, log_share = _split(share, ratio, innovation, spread, variance)
         if decided is ratio:
             break
@@ -215,7 +218,8 @@ def _split(
             children.append((r, ratio[r], 0.0))
             continue
         chances = np.append(share[r, k, f], max(1.0 - share[r, k, f].sum(), 0.0))
-        for j in np.flatnonzero(chances > _LEAST_CHANCE):
+        likely = np.sort(np.argsort(-chances, kind="stable")[:_MOST_CHANCES])
+        for j in likely[chances[likely] > _LEAST_CHANCE]:
             decided = ratio[r].copy()
             decided[k, f] = 0.0
             if j < share.shape[-1]:
