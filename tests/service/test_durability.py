@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import random
+import re
 import sqlite3
 import threading
 import time
@@ -12,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx2
 import numpy as np
 import pytest
 import sqlalchemy as sa
@@ -300,5 +302,9 @@ def test_events_reach_a_client_of_another_process(
             assert one.post(f"{url}/epochs", json={"epochs": entries[first : first + 2]}).status_code == 200
             told += [next(stream)["epoch"], next(stream)["epoch"]]
         assert told == list(range(6))
+        for process in (f"http://localhost{url}", f"{two.url}{url}"):  # a client that comes back, to either
+            get = one.get if process.startswith("http://localhost/") else httpx2.get
+            back = get(f"{process}/events?follow=false", headers={"Last-Event-ID": "3"})
+            assert re.findall(r"^id: (\d+)$", back.text, re.MULTILINE) == ["4", "5"]
         assert one.delete(url).status_code == 204
         assert list(stream) == []
