@@ -21,7 +21,7 @@ def register(app: typer.Typer) -> None:
     """Add the command."""
 
     @app.command(
-        epilog=f"[bold]Examples[/]\n\n{_EXAMPLE}\n\n  $ hapslam slam ranges.nc --method mva --out map.nc"
+        epilog=f"[bold]Examples[/]\n\n{_EXAMPLE}\n\n  $ hapslam slam ranges.nc --method va --out map.nc"
     )
     def convert(
         ranges: Annotated[Path, typer.Argument(help="Archive of range_m and offsets.")],
