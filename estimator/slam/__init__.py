@@ -3,10 +3,11 @@
 from estimator.slam.config import GaussianConfig
 from estimator.slam.engine import Engine, GaussianEngine, Prior, epoch_rng
 from estimator.slam.estimate import Estimate, estimate
-from estimator.slam.gaussian import step
+from estimator.slam.gaussian import step, step_many
 from estimator.slam.particle import ParticleEngine
 from estimator.slam.particle_config import ParticleConfig
 from estimator.slam.run import run_slam
+from estimator.slam.run_many import run_many
 from estimator.slam.start import start
 from estimator.slam.state import GaussianState, load_state, save_state
 
@@ -22,8 +23,10 @@ __all__ = [
     "epoch_rng",
     "estimate",
     "load_state",
+    "run_many",
     "run_slam",
     "save_state",
     "start",
     "step",
+    "step_many",
 ]

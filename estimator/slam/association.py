@@ -56,13 +56,23 @@ def associate(ratio: Array, iterations: int = 12) -> Association:
     -------
     Association
     """
-    weighted = ratio
-    for _ in range(iterations):
-        forth = ratio / (1.0 + weighted.sum(axis=-1, keepdims=True) - weighted)
-        back = 1.0 / (1.0 + forth.sum(axis=-2, keepdims=True) - forth)
-        before, weighted = weighted, ratio * back
-        if np.all(np.abs(weighted - before) <= _SETTLED * before):
-            break
+    graphs = ratio.reshape(int(np.prod(ratio.shape[:-2])), *ratio.shape[-2:])
+    weighted, forth, back = graphs, graphs, graphs
+    left, odds, message = np.arange(len(graphs)), graphs, graphs
+    for number in range(iterations):
+        to = odds / (1.0 + message.sum(axis=-1, keepdims=True) - message)
+        fro = 1.0 / (1.0 + to.sum(axis=-2, keepdims=True) - to)
+        before, message = message, odds * fro
+        if number == 0:
+            weighted, forth, back = message.copy(), to, fro
+        else:
+            weighted[left], forth[left], back[left] = message, to, fro
+        moving = np.any(np.abs(message - before) > _SETTLED * before, axis=(-2, -1))
+        if not moving.all():  # a graph rests when its own messages have settled, whatever stands beside it
+            left, odds, message = left[moving], odds[moving], message[moving]
+            if left.size == 0:
+                break
+    weighted, forth, back = (each.reshape(ratio.shape) for each in (weighted, forth, back))
     total = 1.0 + weighted.sum(axis=-1)
     log_evidence = (
         np.log(total).sum(axis=-1)

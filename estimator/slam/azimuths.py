@@ -50,10 +50,11 @@ def azimuth_ratio(mean: Array, covariance: Array, paths: PathTable, layout: Layo
     rows, anchors, features, size = jacobian.shape
     flat = jacobian.reshape(rows, anchors * features, size)
     spread = np.sum((flat @ covariance) * flat, axis=-1).reshape(rows, anchors, features)
-    given = np.isfinite(paths.azimuth_std_rad)[:, None, :]
-    noise = np.where(given, paths.azimuth_std_rad[:, None, :], 1.0) ** 2
+    angle, std = paths.azimuth_rad[..., None, :], paths.azimuth_std_rad[..., None, :]
+    given = np.isfinite(std)
+    noise = np.where(given, std, 1.0) ** 2
     s = spread[..., None] + noise
-    innovation = _wrapped(paths.azimuth_rad[:, None, :] - azimuth[..., None])
+    innovation = _wrapped(angle - azimuth[..., None])
     density = np.exp(-0.5 * innovation**2 / s) / np.sqrt(2.0 * np.pi * s)
     return np.where(given, 2.0 * np.pi * density, 1.0)
 
@@ -92,14 +93,19 @@ def take_azimuths(
     """
     if paths.azimuth_rad is None or paths.azimuth_std_rad is None:
         return mean, covariance, np.zeros(len(mean))
-    anchor = np.arange(layout.anchors)[None, :, None]
-    std = paths.azimuth_std_rad[anchor, label]
+    paths = paths.by_row()
+    assert paths.azimuth_rad is not None
+    assert paths.azimuth_std_rad is not None
+    angle, std = (
+        np.take_along_axis(each[:, :, None, :], label[..., None], axis=-1)[..., 0]
+        for each in (paths.azimuth_rad, paths.azimuth_std_rad)
+    )
     use = (label >= 0) & np.isfinite(std)
     columns = np.flatnonzero(use.reshape(len(mean), -1).any(axis=0))
     if columns.size == 0:
         return mean, covariance, np.zeros(len(mean))
     azimuth, jacobian = predict_azimuths(mean, layout)
-    innovation = paths.azimuth_rad[anchor, label] - azimuth
+    innovation = angle - azimuth
     common = 0.0
     if not paths.heading_held:
         common = _ANY_HEADING_RAD2

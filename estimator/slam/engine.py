@@ -9,6 +9,7 @@ off and taken up anywhere.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
@@ -19,7 +20,7 @@ from estimator.errors import InputError
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.slam.config import GaussianConfig
 from estimator.slam.estimate import Estimate, estimate
-from estimator.slam.gaussian import step
+from estimator.slam.gaussian import step_many
 from estimator.slam.methods import METHODS, Method
 from estimator.slam.start import start
 from estimator.slam.state import GaussianState, load_state, save_state
@@ -134,10 +135,14 @@ class GaussianEngine:
 
     def step(self, state: GaussianState, epoch: Epoch, rng: np.random.Generator) -> GaussianState:
         """See :func:`estimator.slam.gaussian.step`; a method that hears no paths gets none."""
+        return self.step_many([state], [epoch])[0]
+
+    def step_many(self, states: Sequence[GaussianState], epochs: Sequence[Epoch]) -> list[GaussianState]:
+        """The next epoch of each of several runs; see :func:`estimator.slam.gaussian.step_many`."""
         if not self.method.paths:
             silent = AnchorPaths(np.empty(0), np.empty(0))
-            epoch = replace(epoch, paths=(silent,) * len(epoch.paths))
-        return step(state, epoch, self.models, rng)
+            epochs = [replace(epoch, paths=(silent,) * len(epoch.paths)) for epoch in epochs]
+        return step_many(states, epochs, self.models)
 
     def estimate(self, state: GaussianState) -> Estimate:
         """See :func:`estimator.slam.estimate.estimate`."""

@@ -2,7 +2,8 @@
 
 ``step`` takes one epoch of path lengths into a state; the state before the first
 epoch comes from :func:`estimator.slam.start.start`. Online and offline use call the
-same function.
+same function. ``step_many`` takes an epoch into each of many runs, in one array; ``step`` is the
+batch of one.
 
     predict the agent -> associate and correct all hypotheses -> take a sweep -> locate anchors
     -> remember the unexplained -> start walls -> prune and merge -> confirm walls
@@ -10,6 +11,7 @@ same function.
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,14 +26,15 @@ from estimator.slam.hypotheses import moments, tidy
 from estimator.slam.locate import locate_anchors
 from estimator.slam.memory import clutter_density, remember, widen_spans
 from estimator.slam.motion import predict_motion
-from estimator.slam.paths import PathTable, stack_paths
+from estimator.slam.paths import PathTable, pool_paths, stack_paths
+from estimator.slam.pool import Pool, active_of
 from estimator.slam.slots import judge, open_slot
-from estimator.slam.state import GaussianState, log_sum_exp
+from estimator.slam.state import GaussianState, Rows, log_sum_exp
 from estimator.slam.sweeps import take_sweep
 from estimator.slam.update import correct
 from estimator.slam.virtual_births import bear_virtual_anchors, shorter_than_sight
 
-__all__ = ["step"]
+__all__ = ["step", "step_many"]
 
 Array = NDArray[np.float64]
 _EXPECTED = (
@@ -66,76 +69,161 @@ def step(
     InputError
         If the epoch is not later than the state, or has another number of anchors.
     """
+    return step_many([state], [epoch], config)[0]
+
+
+def step_many(
+    states: Sequence[GaussianState], epochs: Sequence[Epoch], config: GaussianConfig
+) -> list[GaussianState]:
+    """Take one epoch into each of several independent runs.
+
+    The rows of all runs that have the same layout are predicted, associated and corrected as one
+    array; a run's result is that of :func:`step` to rounding. Fifty runs together take a
+    fraction of what they take one by one.
+
+    Parameters
+    ----------
+    states : sequence of GaussianState
+        The states of B runs; they are not changed. Runs may have different anchors, walls and epochs.
+    epochs : sequence of Epoch
+        The next epoch of each.
+    config : GaussianConfig
+        Models of all of them.
+
+    Returns
+    -------
+    list of GaussianState
+
+    Raises
+    ------
+    InputError
+        If there are not as many epochs as states, or an epoch is not later than its state or has another
+        number of anchors.
+    """
+    if len(states) != len(epochs):
+        raise InputError(f"epochs: expected one for each of {len(states)} states, got {len(epochs)}")
+    for state, epoch in zip(states, epochs, strict=True):
+        _check(state, epoch)
+    paths = [stack_paths(epoch, state.carrier_hz) for state, epoch in zip(states, epochs, strict=True)]
+    groups: dict[tuple[bool, *tuple[Hashable, ...]], list[int]] = {}
+    for i, (state, epoch) in enumerate(zip(states, epochs, strict=True)):
+        passed = None if state.epoch < 0 else epoch.time_s - state.time_s
+        first = len(state.trail) < _FIRST_EPOCHS
+        key = (first, state.layout, passed, paths[i].azimuth_rad is None, paths[i].heading_held)
+        groups.setdefault(key, []).append(i)
+    result = list(states)
+    for (first, *_), members in groups.items():
+        group = _step_alike(
+            [states[i] for i in members],
+            [epochs[i] for i in members],
+            [paths[i] for i in members],
+            config.widened() if first else config,
+        )
+        for i, state in zip(members, group, strict=True):
+            result[i] = state
+    return result
+
+
+def _check(state: GaussianState, epoch: Epoch) -> None:
     if len(epoch.paths) != len(state.anchor_names):
         raise InputError(
             f"epoch {epoch.index}: expected paths of {len(state.anchor_names)} anchors, "
             f"got {len(epoch.paths)}"
         )
-    if state.epoch >= 0:
-        if epoch.index <= state.epoch or not epoch.time_s > state.time_s:
-            raise InputError(
-                f"epoch {epoch.index} at {epoch.time_s} s: expected one later than epoch {state.epoch} "
-                f"at {state.time_s} s"
-            )
-        state = _predict(state, epoch.time_s - state.time_s, config)
-    if len(state.trail) < _FIRST_EPOCHS:
-        config = config.widened()
-    state = replace(state, epoch=epoch.index, time_s=epoch.time_s)
-    paths = stack_paths(epoch, state.carrier_hz)
-    state, explained = _correct(state, paths, config)
-    if state.shared:
-        state = take_sweep(state, epoch.sweep, epoch.heading_held, config)
-    state = locate_anchors(state, paths, config)
-    state = remember(state, paths, explained, config)
-    state = _bear(state, config) if state.shared else bear_virtual_anchors(state, config)
-    return judge(replace(state, rows=tidy(state.rows, config)), config)
+    if state.epoch >= 0 and (epoch.index <= state.epoch or not epoch.time_s > state.time_s):
+        raise InputError(
+            f"epoch {epoch.index} at {epoch.time_s} s: expected one later than epoch {state.epoch} "
+            f"at {state.time_s} s"
+        )
 
 
-def _predict(state: GaussianState, step_s: float, config: GaussianConfig) -> GaussianState:
+def _step_alike(
+    states: list[GaussianState], epochs: list[Epoch], paths: list[PathTable], config: GaussianConfig
+) -> list[GaussianState]:
+    """Runs with one layout, the same time since their last epoch and the same kind of measurements."""
+    pool = Pool.of(states)
+    if states[0].epoch >= 0:
+        pool = Pool(_predict(pool.rows, epochs[0].time_s - states[0].time_s, config), pool.count)
+    states = [
+        replace(state, epoch=epoch.index, time_s=epoch.time_s, rows=rows)
+        for state, epoch, rows in zip(states, epochs, pool.apart(), strict=True)
+    ]
+    states, explained = _correct(states, pool, paths, config)
+    for i, (state, epoch) in enumerate(zip(states, epochs, strict=True)):
+        swept = take_sweep(state, epoch.sweep, epoch.heading_held, config) if state.shared else state
+        states[i] = locate_anchors(swept, paths[i], config)
+    states = remember(states, paths, explained, config)
+    for i, state in enumerate(states):
+        born = _bear(state, config) if state.shared else bear_virtual_anchors(state, config)
+        states[i] = judge(replace(born, rows=tidy(born.rows, config)), config)
+    return states
+
+
+def _predict(rows: Rows, step_s: float, config: GaussianConfig) -> Rows:
     """The agent moves on; features may appear and vanish."""
-    rows = state.rows
     mean, covariance = predict_motion(rows.mean, rows.covariance, step_s, config.acceleration_variance)
     stay, appear = 1.0 - config.vanish_probability, config.appear_probability
     visibility = stay * rows.visibility + appear * (1.0 - rows.visibility)
-    return replace(state, rows=replace(rows, mean=mean, covariance=covariance, visibility=visibility))
+    return replace(rows, mean=mean, covariance=covariance, visibility=visibility)
 
 
-def _correct(state: GaussianState, paths: PathTable, config: GaussianConfig) -> tuple[GaussianState, Array]:
-    """Associate and update all rows; also how far the best row explains the paths, (K, M)."""
-    rows = state.rows
-    if not rows.located.any():
-        return state, np.zeros(paths.length_m.shape)
-    clutter = clutter_density(state, config)
+def _correct(
+    states: list[GaussianState], pool: Pool, tables: list[PathTable], config: GaussianConfig
+) -> tuple[list[GaussianState], list[Array]]:
+    """Associate and update all rows; also how far the best row of each run explains its paths, (K, M)."""
+    explained = [np.zeros(table.length_m.shape) for table in tables]
+    heard_any = np.flatnonzero([state.rows.located.any() for state in states]).tolist()
+    if not heard_any:
+        return states, explained
+    if len(heard_any) < len(states):  # runs without any anchor wait
+        some, theirs = [states[i] for i in heard_any], [tables[i] for i in heard_any]
+        some, known = _correct(some, Pool.of(some), theirs, config)
+        for i, state, each in zip(heard_any, some, known, strict=True):
+            states[i], explained[i] = state, each
+        return states, explained
+    layout, rows = states[0].layout, pool.rows
+    paths = pool_paths(
+        [table.turned(-state.bearing_rad) for table, state in zip(tables, states, strict=True)]
+    ).of_rows(pool.run)
+    clutter = np.array([clutter_density(state, config) for state in states])[pool.run]
+    active = active_of(pool, states, layout)
     done = correct(
-        rows.mean,
-        rows.covariance,
-        rows.visibility,
-        state.active(),
-        paths.turned(-state.bearing_rad),
-        state.layout,
-        config,
-        clutter,
+        rows.mean, rows.covariance, rows.visibility, active, paths, layout, config, clutter, pool.run
     )
     expected = rows.visibility[done.parent]
     rows = rows.take(done.parent)
     weight = rows.log_weight + done.log_evidence
-    if not state.shared:
+    if not layout.shared:
         weight -= config.virtual_forgetting * rows.log_weight
-        weight += shorter_than_sight(done, paths, state.layout, config, clutter)
-    evidence = log_sum_exp(weight)
-    heard = np.any(done.heard[:, :, 1 : 1 + state.layout.slots] > 0.5, axis=1)
+        of = done.parent
+        weight += shorter_than_sight(done, paths.of_rows(of), layout, config, clutter[of])
+    pool = Pool(rows, np.bincount(pool.run[done.parent], minlength=len(states)))
+    evidence = pool.log_sum_exp(weight)
+    heard = np.any(done.heard[:, :, 1 : 1 + layout.slots] > 0.5, axis=1)
     rows = replace(
         rows,
         mean=done.mean,
         covariance=done.covariance,
         visibility=done.visibility,
         support=rows.support + heard,
-        log_weight=weight - evidence,
+        log_weight=weight - evidence[pool.run],
     )
-    state = replace(state, rows=rows, log_evidence=state.log_evidence + evidence)
-    again = np.where(expected[rows.best] > _EXPECTED, done.heard[rows.best], 0.0)
-    span = widen_spans(state, rows.best, again)
-    return replace(state, slots=replace(state.slots, span_m=span)), done.explained[rows.best]
+    pool = Pool(rows, pool.count)
+    best = pool.best()
+    again = np.where(expected[best] > _EXPECTED, done.heard[best], 0.0)
+    spans = np.array([state.slots.span_m for state in states])
+    spans = widen_spans(spans, rows.mean[best], again, layout)
+    after = [
+        replace(
+            state,
+            rows=own,
+            log_evidence=state.log_evidence + float(gained),
+            slots=replace(state.slots, span_m=span),
+        )
+        for state, own, gained, span in zip(states, pool.apart(), evidence, spans, strict=True)
+    ]
+    shares = done.explained[best]
+    return after, [each[:, : t.length_m.shape[1]] for each, t in zip(shares, tables, strict=True)]
 
 
 def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,9 @@ from numpy.typing import NDArray
 
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths, reflect, wall_side
+from estimator.slam.layout import Layout
 from estimator.slam.paths import PathTable
+from estimator.slam.pool import Pool, active_of
 from estimator.slam.state import GaussianState
 from estimator.slam.update import predicted_variance
 
@@ -35,40 +38,46 @@ def clutter_density(state: GaussianState, config: GaussianConfig) -> Array:
     return np.asarray(np.maximum(rate, config.clutter_mean) / config.region_m + 1e-12)
 
 
-def widen_spans(state: GaussianState, row: int, heard: Array) -> Array:
-    """Spans (L, 2) of the walls after the bounces that a row heard.
+def widen_spans(span_m: Array, mean: Array, heard: Array, layout: Layout) -> Array:
+    """Spans (B, L, 2) of the walls of runs after the bounces that their best rows heard.
 
     Parameters
     ----------
-    state : GaussianState
-        State with corrected rows.
-    row : int
-        The row to believe.
-    heard : ndarray, shape (K, F)
+    span_m : ndarray, shape (B, L, 2)
+        Spans before.
+    mean : ndarray, shape (B, n)
+        The row to believe, of each run.
+    heard : ndarray, shape (B, K, F)
         Probability that each feature was measured.
+    layout : Layout
+        Positions in the state vectors.
     """
-    layout, mean = state.layout, state.rows.mean[row]
-    span = state.slots.span_m.copy()
+    span = span_m.copy()
     if not layout.shared:
         return span
-    wall = mean[layout.walls].reshape(-1, 2)
-    normal = wall / np.linalg.norm(wall, axis=1, keepdims=True)
+    agent = mean[:, None, layout.POSITION]
+    wall = mean[:, layout.walls].reshape(len(mean), layout.slots, 2)
+    normal = wall / np.linalg.norm(wall, axis=-1, keepdims=True)
+    side = wall_side(agent, wall)
     for k in range(layout.anchors):
-        image = reflect(mean[None, layout.anchor(k)][:, :2], wall)
-        side, other = wall_side(mean[None, :2], wall), wall_side(image, wall)
+        image = reflect(mean[:, None, layout.anchor_xy(k)], wall)
+        other = wall_side(image, wall)
         gap = np.where(side == other, 1.0, side - other)
-        bounce = mean[:2] + (side / gap)[:, None] * (image - mean[:2])
-        along = bounce[:, 1] * normal[:, 0] - bounce[:, 0] * normal[:, 1]
-        hit = heard[k, 1 : 1 + layout.slots] > 0.5
-        span[:, 0] = np.where(hit, np.minimum(span[:, 0], along), span[:, 0])
-        span[:, 1] = np.where(hit, np.maximum(span[:, 1], along), span[:, 1])
+        bounce = agent + (side / gap)[..., None] * (image - agent)
+        along = bounce[..., 1] * normal[..., 0] - bounce[..., 0] * normal[..., 1]
+        hit = heard[:, k, 1 : 1 + layout.slots] > 0.5
+        span[..., 0] = np.where(hit, np.minimum(span[..., 0], along), span[..., 0])
+        span[..., 1] = np.where(hit, np.maximum(span[..., 1], along), span[..., 1])
     return span
 
 
 def remember(
-    state: GaussianState, paths: PathTable, explained: Array, config: GaussianConfig
-) -> GaussianState:
-    """Note where the agent is and what nothing explains.
+    states: Sequence[GaussianState],
+    paths: Sequence[PathTable],
+    explained: Sequence[Array],
+    config: GaussianConfig,
+) -> list[GaussianState]:
+    """Note where the agents of runs with one layout are and what nothing explains.
 
     A path counts as explained if a feature probably gave it, or if it lies close to
     where any possible feature would be heard: beside a known path stand its echoes,
@@ -77,31 +86,35 @@ def remember(
 
     Parameters
     ----------
-    state : GaussianState
-        State with corrected rows.
-    paths : PathTable
-        The epoch's paths.
-    explained : ndarray, shape (K, M)
+    states : sequence of GaussianState
+        States with corrected rows.
+    paths : sequence of PathTable
+        The epoch's paths of each.
+    explained : sequence of ndarray, shapes (K, M)
         Probability that the best row explains each path.
     config : GaussianConfig
         ``pair_radius_m`` and the windows.
     """
-    rows, best = state.rows, state.rows.best
-    mean, covariance = rows.mean[best], rows.covariance[best]
-    std = np.sqrt(0.5 * np.trace(covariance[:2, :2]))
-    trail = np.concatenate([state.trail, [[state.epoch, mean[0], mean[1], std]]])
-    prediction = predict_paths(mean[None], state.layout)
-    spread = predicted_variance(prediction, covariance[None])[0]
-    distance = np.abs(paths.length_m[:, None, :] - prediction.length_m[0][..., None])
-    beside = config.pair_radius_m if state.shared else 2.0 * config.range_std_m
+    layout = states[0].layout
+    pool = Pool.of_best(states)
+    mean, covariance = pool.rows.mean, pool.rows.covariance
+    std = np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1]))
+    prediction = predict_paths(mean, layout)
+    spread = predicted_variance(prediction, covariance)
+    beside = config.pair_radius_m if layout.shared else 2.0 * config.range_std_m
     radius = np.minimum(beside + 2.0 * np.sqrt(spread), 3.0)
-    active = state.active()[best] & prediction.possible[0]
-    near = np.any(active[..., None] & (distance < radius[..., None]), axis=1)
-    taken = rows.located[best][:, None] & (near | (explained > 0.3))
-    flood = np.sum(paths.valid, axis=1) > _FLOOD
-    k, j = np.nonzero(paths.valid & ~flood[:, None])
-    columns = (paths.length_m[k, j], paths.std_m[k, j], paths.excess_loss_db[k, j], ~taken[k, j])
-    heard = np.concatenate([state.heard, np.stack([np.full(k.size, state.epoch), k, *columns], axis=1)])
-    window = config.birth_window if state.shared else config.virtual_window
-    oldest = state.epoch - max(window, config.start_window)
-    return replace(state, trail=trail[trail[:, 0] > oldest], heard=heard[heard[:, 0] > oldest])
+    radius = np.where(active_of(pool, states, layout) & prediction.possible, radius, 0.0)
+    window = config.birth_window if layout.shared else config.virtual_window
+    after = []
+    for b, (state, table, known) in enumerate(zip(states, paths, explained, strict=True)):
+        trail = np.concatenate([state.trail, [[state.epoch, mean[b, 0], mean[b, 1], std[b]]]])
+        distance = np.abs(table.length_m[:, None, :] - prediction.length_m[b][..., None])
+        near = np.any(distance < radius[b][..., None], axis=1)
+        taken = pool.rows.located[b][:, None] & (near | (known > 0.3))
+        flood = np.sum(table.valid, axis=1) > _FLOOD
+        k, j = np.nonzero(table.valid & ~flood[:, None])
+        columns = (table.length_m[k, j], table.std_m[k, j], table.excess_loss_db[k, j], ~taken[k, j])
+        heard = np.concatenate([state.heard, np.stack([np.full(k.size, state.epoch), k, *columns], axis=1)])
+        oldest = state.epoch - max(window, config.start_window)
+        after.append(replace(state, trail=trail[trail[:, 0] > oldest], heard=heard[heard[:, 0] > oldest]))
+    return after

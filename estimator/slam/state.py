@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from estimator.errors import FileFormatError
 from estimator.slam.layout import Layout
 
-__all__ = ["NOWHERE_M", "GaussianState", "Rows", "Slots", "load_state", "save_state"]
+__all__ = [
+    "NOWHERE_M",
+    "GaussianState",
+    "Rows",
+    "Slots",
+    "active_features",
+    "load_state",
+    "log_sum_exp",
+    "save_state",
+]
 
 FORMAT = "hapslam-gaussian-state/2"
 NOWHERE_M = 1e4  # coordinates of unknown anchors and of the VRPs of empty slots
@@ -174,16 +183,30 @@ class GaussianState:
 
     def active(self) -> NDArray[np.bool_]:
         """Features (R, K, F) that each row has; pairs need two walls that count as found."""
-        present = self.rows.present
-        if not self.shared:
-            own = self.slots.owner == np.arange(len(self.anchor_names))[:, None]
-            points = present[:, None, :] & own
-            direct = np.ones((*points.shape[:2], 1), dtype=bool)
-            return np.asarray(self.rows.located[:, :, None] & np.concatenate([direct, points], axis=2))
-        found = present & self.slots.confirmed
-        pairs = (found[:, :, None] & found[:, None, :]).reshape(len(present), -1)
-        features = np.concatenate([np.ones((len(present), 1), dtype=bool), present, pairs], axis=1)
-        return np.asarray(self.rows.located[:, :, None] & features[:, None, :])
+        slots, rows = self.slots, self.rows
+        return active_features(rows.located, rows.present, slots.confirmed, slots.owner, self.shared)
+
+
+def active_features(
+    located: NDArray[np.bool_],
+    present: NDArray[np.bool_],
+    confirmed: NDArray[np.bool_],
+    owner: NDArray[np.int64],
+    shared: bool,
+) -> NDArray[np.bool_]:
+    """Features (R, K, F) of rows with the anchors ``located`` (R, K) and the walls ``present`` (R, L).
+
+    What is ``confirmed``, and the ``owner`` of slots, are (L,), or (R, L) for rows of several runs.
+    """
+    if not shared:
+        own = owner[..., None, :] == np.arange(located.shape[1])[:, None]
+        points = present[:, None, :] & own
+        direct = np.ones((*points.shape[:2], 1), dtype=bool)
+        return np.asarray(located[:, :, None] & np.concatenate([direct, points], axis=2))
+    found = present & confirmed
+    pairs = (found[:, :, None] & found[:, None, :]).reshape(len(present), -1)
+    features = np.concatenate([np.ones((len(present), 1), dtype=bool), present, pairs], axis=1)
+    return np.asarray(located[:, :, None] & features[:, None, :])
 
 
 _SCALARS = ("carrier_hz", "bearing_rad", "epoch", "time_s", "log_evidence", "next_wall_id", "shared")

@@ -66,19 +66,26 @@ class Correction:
 def _take(
     mean: Array, covariance: Array, jacobian: Array, innovation: Array, variance: Array, use: Mask
 ) -> tuple[Array, Array, Array]:
-    """:func:`kalman` with the features (R, K, F) that ``use`` marks."""
+    """:func:`kalman` with the features (R, K, F) that ``use`` marks, of the rows that have any."""
     rows, size = mean.shape
-    columns = np.flatnonzero(use.reshape(rows, -1).any(axis=0))
-    if columns.size == 0:
-        return mean, covariance, np.zeros(rows)
-    keep = use.reshape(rows, -1)[:, columns]
-    return kalman(
-        mean,
-        covariance,
-        np.where(keep[..., None], jacobian.reshape(rows, -1, size)[:, columns], 0.0),
-        np.where(keep, innovation.reshape(rows, -1)[:, columns], 0.0),
-        np.where(keep, variance.reshape(rows, -1)[:, columns], 0.5 / np.pi),
+    use = use.reshape(rows, -1)
+    count = use.sum(axis=1)
+    some = np.flatnonzero(count)
+    log_density = np.zeros(rows)
+    if some.size == 0:
+        return mean, covariance, log_density
+    column = np.argsort(~use[some], axis=1, kind="stable")[:, : count.max()]  # each row's own first
+    row = some[:, None]
+    keep = use[row, column]
+    mean, covariance = mean.copy(), covariance.copy()
+    mean[some], covariance[some], log_density[some] = kalman(
+        mean[some],
+        covariance[some],
+        np.where(keep[..., None], jacobian.reshape(rows, -1, size)[row, column], 0.0),
+        np.where(keep, innovation.reshape(rows, -1)[row, column], 0.0),
+        np.where(keep, variance.reshape(rows, -1)[row, column], 0.5 / np.pi),
     )
+    return mean, covariance, log_density
 
 
 def correct(
@@ -90,6 +97,7 @@ def correct(
     layout: Layout,
     config: GaussianConfig,
     clutter: Array | float | None = None,
+    run: NDArray[np.int64] | None = None,
 ) -> Correction:
     """Take one epoch of path lengths into all rows.
 
@@ -102,19 +110,23 @@ def correct(
     active : ndarray of bool, shape (R, K, F)
         Features the row has (anchor located, walls present).
     paths : PathTable
-        The epoch's paths, azimuths in the gauge frame.
+        The epoch's paths (K, M), or those of each row (R, K, M); azimuths in the gauge frame.
     layout : Layout
         Positions in the state vector.
     config : GaussianConfig
         Models.
-    clutter : ndarray, shape (K,), optional
+    clutter : ndarray, shape (K,) or (R, K), optional
         Intensity per metre of paths that no feature gives; by default the configuration's.
+    run : ndarray of int64, shape (R,), optional
+        The run that each row belongs to; by default all are one run's.
 
     Returns
     -------
     Correction
     """
-    clutter = np.broadcast_to(config.clutter_density if clutter is None else clutter, layout.anchors)
+    paths = paths.by_row()
+    clutter = np.asarray(config.clutter_density if clutter is None else clutter)
+    clutter = np.broadcast_to(clutter, (len(mean), layout.anchors))[..., None]
     variance = np.maximum(paths.std_m, config.range_std_m) ** 2
     prediction = predict_paths(mean, layout)
     active = active & prediction.possible
@@ -127,8 +139,8 @@ def correct(
     taken: Mask = np.asarray(np.any(sure, axis=-1))  # (R, K, F)
     chosen = np.argmax(sure, axis=-1)
     first = np.take_along_axis(innovation, chosen[..., None], axis=-1)[..., 0]
-    noise = variance[np.arange(layout.anchors)[None, :, None], chosen]
-    prior = np.log(np.maximum(chance, 1e-12) / clutter[:, None])
+    noise = np.take_along_axis(variance[:, :, None, :], chosen[..., None], axis=-1)[..., 0]
+    prior = np.log(np.maximum(chance, 1e-12) / clutter)
     log_evidence = np.sum(np.where(taken, prior, 0.0), axis=(1, 2))
     mean, covariance, log_density = _take(mean, covariance, prediction.jacobian, first, noise, taken)
     log_evidence = log_evidence + log_density
@@ -146,11 +158,11 @@ def correct(
     log_evidence = log_evidence + np.sum(association.log_evidence + np.sum(np.log1p(-rest), axis=-1), axis=-1)
     share, jacobian = association.probability, prediction.jacobian  # (R, K, F, M), (R, K, F, n)
     parent = np.arange(len(mean))
+    run = np.zeros(len(mean), dtype=np.int64) if run is None else run
     for turn in range(_SPLITS):
-        if turn and len(mean) > _FEW_ROWS:
-            break
-        split, decided, log_share = _split(share, ratio, innovation, spread, variance)
-        if decided is ratio:
+        may = np.asarray((np.bincount(run)[run] <= _FEW_ROWS) | (turn == 0))
+        split, new, decided, log_share = _split(share, ratio, innovation, spread, variance, may)
+        if not new.size:
             break
         mean, covariance, log_evidence = mean[split], covariance[split], log_evidence[split] + log_share
         visibility, active, taken, used = visibility[split], active[split], taken[split], used[split]
@@ -160,11 +172,19 @@ def correct(
             chosen[split],
             jacobian[split],
         )
-        parent, ratio, share = parent[split], decided, associate(decided).probability
+        run, parent, ratio, share, paths = (
+            run[split],
+            parent[split],
+            ratio[split],
+            share[split],
+            paths.of_rows(split),
+        )
+        variance = variance if len(variance) == 1 else variance[split]
+        ratio[new], share[new] = decided, associate(decided).probability
     heard = share.sum(axis=-1)
     weight = np.maximum(heard, 1e-12)
     expected = np.sum(share * innovation, axis=-1) / weight
-    second = np.sum(share * (innovation**2 + variance[:, None, :]), axis=-1) / weight - expected**2
+    second = np.sum(share * (innovation**2 + variance[:, :, None, :]), axis=-1) / weight - expected**2
     soft = heard > 0.05
     soft[..., 1 + layout.slots :] &= spread[..., 1 + layout.slots :] < config.pair_std_m**2
     mean, covariance, _ = _take(mean, covariance, jacobian, expected, second / weight, soft)
@@ -184,50 +204,55 @@ def correct(
 
 
 def _split(
-    share: Array, ratio: Array, innovation: Array, spread: Array, variance: Array
-) -> tuple[NDArray[np.int64], Array, Array]:
+    share: Array, ratio: Array, innovation: Array, spread: Array, variance: Array, may: Mask
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
     """Split rows by their most harmful doubt if it would blur them, one feature each.
 
     A feature whose alternatives (its measurements, or none) would move the state far
     apart, against the uncertainty that each would leave, is decided both ways: one row
-    per alternative, in which the others are forbidden.
+    per alternative, in which the others are forbidden. Only rows that ``may`` (R,) split do.
 
     Returns
     -------
     parent : ndarray of int64, shape (S,)
         Row that each new row comes from.
-    ratio : ndarray, shape (S, K, F, M)
-        Association ratios of the new rows; the very array given if no row splits.
+    new : ndarray of int64, shape (D,)
+        The new rows in which something was decided.
+    decided : ndarray, shape (D, K, F, M)
+        Their association ratios.
     log_share : ndarray, shape (S,)
         Log probability of the alternative.
     """
-    noise = variance[:, None, :]
+    noise = variance[:, :, None, :]
     s = spread[..., None] + noise
     shift = spread[..., None] / s * innovation
     first = np.sum(share * shift, axis=-1)
     scatter = np.sum(share * shift**2, axis=-1) - first**2
     left = np.maximum(np.min(spread[..., None] * noise / s, axis=-1), 1e-8)
     harm = (scatter / left).reshape(len(share), -1)
-    if harm.max() < _APART**2:
-        return np.arange(len(share)), ratio, np.zeros(len(share))
     worst = np.argmax(harm, axis=1)
-    children: list[tuple[int, Array, float]] = []
-    for r in range(len(share)):
+    torn = np.flatnonzero(may & (harm.max(axis=1) >= _APART**2))
+    count = np.ones(len(share), dtype=np.int64)
+    decided, log_share = [np.empty((0, *ratio.shape[1:]))], [np.empty(0)]
+    for r in torn.tolist():
         k, f = np.unravel_index(worst[r], spread.shape[1:])
-        if harm[r, worst[r]] < _APART**2:
-            children.append((r, ratio[r], 0.0))
-            continue
         chances = np.append(share[r, k, f], max(1.0 - share[r, k, f].sum(), 0.0))
         likely = np.sort(np.argsort(-chances, kind="stable")[:_MOST_CHANCES])
-        for j in likely[chances[likely] > _LEAST_CHANCE]:
-            decided = ratio[r].copy()
-            decided[k, f] = 0.0
+        likely = likely[(chances[likely] > _LEAST_CHANCE) | (likely == np.argmax(chances))]
+        count[r] = likely.size
+        ways = np.repeat(ratio[r][None], likely.size, axis=0)
+        ways[:, k, f] = 0.0
+        for way, j in zip(ways, likely.tolist(), strict=True):
             if j < share.shape[-1]:
-                decided[k, :, j] = 0.0
-                decided[k, f, j] = _CERTAIN
-            children.append((r, decided, float(np.log(chances[j]))))
-    parent, ratios, log_share = zip(*children, strict=True)
-    return np.array(parent), np.array(ratios), np.array(log_share)
+                way[k, :, j] = 0.0
+                way[k, f, j] = _CERTAIN
+        decided.append(ways)
+        log_share.append(np.log(chances[likely]))
+    parent = np.repeat(np.arange(len(share)), count)
+    new = np.flatnonzero(np.isin(parent, torn))
+    shares = np.zeros(len(parent))
+    shares[new] = np.concatenate(log_share)
+    return parent, new, np.concatenate(decided), shares
 
 
 def _ratios(
@@ -242,14 +267,16 @@ def _ratios(
 ) -> tuple[Array, Array, Array]:
     """Association ratios and innovations (R, K, F, M), and predicted variances (R, K, F)."""
     spread = predicted_variance(prediction, covariance)
-    s = spread[..., None] + variance[:, None, :]
-    innovation = paths.length_m[:, None, :] - prediction.length_m[..., None]
+    s = spread[..., None] + variance[:, :, None, :]
+    innovation = paths.length_m[:, :, None, :] - prediction.length_m[..., None]
     distance = innovation**2 / s
     known = np.ones(spread.shape, dtype=bool)
     known[..., 1 + layout.slots :] = spread[..., 1 + layout.slots :] < config.pair_gate_std_m**2
-    gated = paths.valid[:, None, :] & (distance < config.gate_sigma**2) & ((chance > 0.0) & known)[..., None]
+    gated = (
+        paths.valid[:, :, None, :] & (distance < config.gate_sigma**2) & ((chance > 0.0) & known)[..., None]
+    )
     density = np.exp(-0.5 * distance) / np.sqrt(2.0 * np.pi * s)
-    odds = chance / ((1.0 - chance) * clutter[:, None])
+    odds = chance / ((1.0 - chance) * clutter)
     return np.where(gated, odds[..., None] * density, 0.0), spread, innovation
 
 

@@ -101,7 +101,7 @@ def shorter_than_sight(
     """Log weight (R,) that rows lose by unexplained paths shorter than their line of sight.
 
     A feature not yet found is farther away than its anchor: among the shorter paths there is
-    only clutter, and less of it than of loose paths in all, (K,) per metre. A row that takes the
+    only clutter, and less of it than of loose paths in all, (K,) or (R, K) per metre. A row that takes the
     path of a virtual anchor for the line of sight leaves the true one, which is shorter, unexplained
     in every epoch.
     """
@@ -112,7 +112,7 @@ def shorter_than_sight(
     margin = config.gate_sigma * np.maximum(paths.std_m, config.range_std_m)
     shorter = paths.valid & (paths.length_m + margin < sight[..., None])  # (R, K, M)
     rarer = np.log(np.minimum(config.clutter_density / loose, 1.0))
-    return np.asarray(np.sum(shorter * (1.0 - done.explained) * rarer[:, None], axis=(1, 2)))
+    return np.asarray(np.sum(shorter * (1.0 - done.explained) * rarer[..., None], axis=(1, 2)))
 
 
 def recent_paths(state: GaussianState, k: int, config: GaussianConfig) -> Recent | None:
