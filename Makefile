@@ -1,6 +1,6 @@
 # make demo      trace a room, walk through it, map it: everything is set up first
 # make test      run the tests, README snippets included
-# make lint      style, types, directions of imports;  make format mends the style
+# make lint      style, types, directions of imports, known faults;  make format mends the style
 # make setup     only the environment: .venv, pinned and checked by hash
 # make soak      the long tests: Monte Carlo and traced acceptance, kills, broken bodies, load (half an hour)
 # make requirements   pin anew after a change of pyproject.toml
@@ -37,6 +37,7 @@ lint: $(VENV)/.dev
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 	@$(BIN)/bandit -q -c pyproject.toml -r estimator raytrace service
+	@$(PIP) check
 
 format: $(VENV)/.dev
 	@$(BIN)/ruff check --fix-only .

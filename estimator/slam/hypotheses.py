@@ -38,17 +38,18 @@ def _merge(rows: Rows) -> Rows:
         return rows
     std = np.sqrt(np.maximum(np.diagonal(rows.covariance, axis1=1, axis2=2), 0.0)) + 1e-3
     free = np.ones(len(rows), dtype=bool)
+    kind = _kinds(rows)
     kept: list[int] = []
     for i in range(len(rows)):
         if not free[i]:
             continue
         free[i] = False
         kept.append(i)
-        limit = _ALIKE_SIGMA * np.minimum(std[i], std)
-        alike = free & np.all(np.abs(rows.mean - rows.mean[i]) < limit, axis=1)
-        alike &= np.all(rows.present == rows.present[i], axis=1)
-        alike &= np.all(rows.located == rows.located[i], axis=1)
-        group = np.flatnonzero(alike)
+        group = np.flatnonzero(free & (kind == kind[i]))
+        if group.size == 0:
+            continue
+        limit = _ALIKE_SIGMA * np.minimum(std[i], std[group])
+        group = group[(np.abs(rows.mean[group] - rows.mean[i]) < limit).all(axis=1)]
         if group.size == 0:
             continue
         free[group] = False
@@ -59,3 +60,10 @@ def _merge(rows: Rows) -> Rows:
         rows.mean[i], rows.covariance[i] = moments(weight, rows.mean[members], rows.covariance[members])
         rows.visibility[i] = np.einsum("r,rkf->kf", weight, rows.visibility[members])
     return rows.take(kept)
+
+
+def _kinds(rows: Rows) -> NDArray[np.int64]:
+    """A number for each row, the same for rows with the same walls and anchors."""
+    seen: dict[bytes, int] = {}
+    has = np.concatenate([rows.present, rows.located], axis=1)
+    return np.array([seen.setdefault(row.tobytes(), len(seen)) for row in has])

@@ -105,7 +105,7 @@ def test_settings_come_from_file_and_environment(tmp_path: Path, monkeypatch: py
 
 def test_the_load_test_runs(database: str) -> None:
     """A short load: every request is answered well, and the figures are there."""
-    figures = measure_load(LoadConfig(sessions=10, seconds=3.0, rate_hz=40.0, workers=1), database)
+    figures = measure_load(LoadConfig(sessions=10, seconds=5.0, rate_hz=40.0, workers=1), database)
     assert figures["errors"] == 0
     assert figures["epochs_per_s"] > 5.0
     assert figures["nothing_per_s"] > figures["epochs_per_s"]
