@@ -78,7 +78,7 @@ class Request:
     executor : Executor
         Where runs happen.
     progress : callable, optional
-        Called with (runs done, runs in all).
+        Called with (tasks done, tasks in all): runs, or batches of runs.
     """
 
     room: Room

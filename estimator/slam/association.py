@@ -57,6 +57,29 @@ def associate(ratio: Array, iterations: int = 12) -> Association:
     Association
     """
     graphs = ratio.reshape(int(np.prod(ratio.shape[:-2])), *ratio.shape[-2:])
+    live = np.any(graphs > 0.0, axis=-1)
+    most = max(int(live.sum(axis=1).max(initial=0)), 1)
+    if 2 * most > live.shape[1]:
+        weighted, forth, back = _messages(graphs, iterations)
+        shared = np.log1p(forth * back).sum(axis=(-2, -1))
+    else:  # features that no measurement is near only claim nothing: they need not be asked
+        near = np.arange(len(graphs))[:, None], np.argsort(~live, axis=1, kind="stable")[:, :most]
+        close, forth, fro = _messages(graphs[near], iterations)
+        shared = np.log1p(forth * fro).sum(axis=(-2, -1))
+        back = np.repeat(1.0 / (1.0 + forth.sum(axis=-2, keepdims=True)), graphs.shape[1], axis=1)
+        weighted = np.zeros_like(graphs)
+        weighted[near], back[near] = close, fro
+    total = 1.0 + weighted.sum(axis=-1)
+    log_evidence = np.log(total).sum(axis=-1) + np.log1p(forth.sum(axis=-2)).sum(axis=-1) - shared
+    return Association(
+        (weighted / total[..., None]).reshape(ratio.shape),
+        log_evidence.reshape(ratio.shape[:-2]),
+        back.reshape(ratio.shape),
+    )
+
+
+def _messages(graphs: Array, iterations: int) -> tuple[Array, Array, Array]:
+    """Messages of graphs (N, F, M): weighted ratios, from features to measurements, and back."""
     weighted, forth, back = graphs, graphs, graphs
     left, odds, message = np.arange(len(graphs)), graphs, graphs
     for number in range(iterations):
@@ -72,11 +95,4 @@ def associate(ratio: Array, iterations: int = 12) -> Association:
             left, odds, message = left[moving], odds[moving], message[moving]
             if left.size == 0:
                 break
-    weighted, forth, back = (each.reshape(ratio.shape) for each in (weighted, forth, back))
-    total = 1.0 + weighted.sum(axis=-1)
-    log_evidence = (
-        np.log(total).sum(axis=-1)
-        + np.log1p(forth.sum(axis=-2)).sum(axis=-1)
-        - np.log1p(forth * back).sum(axis=(-2, -1))
-    )
-    return Association(weighted / total[..., None], log_evidence, back)
+    return weighted, forth, back

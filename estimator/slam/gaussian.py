@@ -41,6 +41,7 @@ _EXPECTED = (
     0.7  # a bounce tells how far a wall extends if it was expected this surely: one hit may be clutter
 )
 _SETTLED_M = 1.5  # standard deviation of an anchor from which walls may be born
+_MANY_ROWS = 48  # from which a run gains nothing from company: its arrays fill the cache
 _FIRST_EPOCHS = 8  # in which more places of the anchors are kept
 
 
@@ -109,7 +110,8 @@ def step_many(
     for i, (state, epoch) in enumerate(zip(states, epochs, strict=True)):
         passed = None if state.epoch < 0 else epoch.time_s - state.time_s
         first = len(state.trail) < _FIRST_EPOCHS
-        key = (first, state.layout, passed, paths[i].azimuth_rad is None, paths[i].heading_held)
+        alone = i if len(state.rows) > _MANY_ROWS else -1
+        key = (first, alone, state.layout, passed, paths[i].azimuth_rad is None, paths[i].heading_held)
         groups.setdefault(key, []).append(i)
     result = list(states)
     for (first, *_), members in groups.items():

@@ -11,6 +11,7 @@ from estimator.slam.state import Rows, log_sum_exp
 __all__ = ["moments", "tidy"]
 
 Array = NDArray[np.float64]
+_FEW = 16  # rows, of which all pairs are compared at once
 _ALIKE_SIGMA = 0.7  # rows closer than this in every coordinate become one
 
 
@@ -32,11 +33,19 @@ def tidy(rows: Rows, config: GaussianConfig) -> Rows:
     return merged.take(order).keep(np.ones(order.size, dtype=bool))
 
 
+def _any_alike(mean: Array, std: Array) -> bool:
+    """Whether the means (R, n) of any two rows are closer than their standard deviations allow."""
+    a, b = np.triu_indices(len(mean), 1)
+    return bool(np.any(np.all(np.abs(mean[a] - mean[b]) < _ALIKE_SIGMA * np.minimum(std[a], std[b]), axis=1)))
+
+
 def _merge(rows: Rows) -> Rows:
     """Rows (descending weight) that differ by less than their own uncertainty become one."""
     if len(rows) == 1:
         return rows
     std = np.sqrt(np.maximum(np.diagonal(rows.covariance, axis1=1, axis2=2), 0.0)) + 1e-3
+    if len(rows) <= _FEW and not _any_alike(rows.mean, std):
+        return rows
     free = np.ones(len(rows), dtype=bool)
     kind = _kinds(rows)
     kept: list[int] = []

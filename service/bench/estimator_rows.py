@@ -19,7 +19,7 @@ from estimator.sensing.flash import find_flashes
 from estimator.sensing.linefit import fit_lines
 from estimator.sensing.ranges import sweep_response
 from estimator.simulate import SimulationConfig
-from estimator.slam import Prior, epoch_rng
+from estimator.slam import GaussianConfig, GaussianEngine, Prior, epoch_rng
 from estimator.slam.particle_config import ParticleConfig
 from estimator.slam.run import config_for, engine_for
 from estimator.threads import one_blas_thread
@@ -33,7 +33,8 @@ _ANCHORS_M = ((68.0, 6.0), (42.0, 36.0))
 _WAYPOINTS_M = np.array([(10, 15), (70, 9), (73.5, 12), (70, 48), (66, 52.5), (54, 55)], dtype=np.float64)
 _EPOCHS = 236
 _PARTICLES, _BATCH, _PATHS, _FITS = 100_000, 64, 15, 1000
-_STEP_BAR_MS, _NOMP_BAR_MS = 2.0, 15.0
+_RUNS = 50
+_STEP_BAR_MS, _BATCH_BAR_MS, _NOMP_BAR_MS = 2.0, 0.25, 15.0
 _PEER = "belief propagation SLAM of its authors, 1e5 particles (as stated)"
 _PEER_MS, _PEER_FEATURES = 293.0, 11  # a step with two anchors
 _GRID = OfdmGrid(28e9, 120e3, 3276, comb=4, symbols=14)
@@ -48,7 +49,10 @@ def rows(quick: bool) -> Iterator[Row]:
         Fewer repetitions: seconds rather than a minute.
     """
     with one_blas_thread():
-        yield _gaussian_step(40 if quick else _EPOCHS)
+        alone = _gaussian_step(40 if quick else _EPOCHS)
+        yield alone
+        if not quick:  # fifty runs, whose first epochs are the dearest
+            yield _gaussian_batch(_EPOCHS, alone)
         for method in ("hybrid", "va"):
             yield _particle_step(method, 6 if quick else 40)
         repeats = 1 if quick else 7
@@ -79,6 +83,22 @@ def _gaussian_step(epochs: int) -> Row:
 
     milliseconds = 1e3 * cpu_s(run, 1) / epochs
     return Row(f"gaussian engine, hybrid, alone: step (mean of {epochs})", milliseconds, "ms", _STEP_BAR_MS)
+
+
+def _gaussian_batch(epochs: int, alone: Row) -> Row:
+    """Runs stepped together, hypotheses of the first epochs included."""
+    room = _room()
+    measured = [room.measure(SimulationConfig(), 1 + i) for i in range(_RUNS)]
+    config = config_for(measured[0])
+    assert isinstance(config, GaussianConfig)
+    engine = GaussianEngine(config)
+    states = [engine.start(Prior.of(each), epoch_rng(1, -1)) for each in measured]
+    begin = time.process_time()
+    for t in range(epochs):
+        states = engine.step_many(states, [each.epochs[t] for each in measured])
+    milliseconds = 1e3 * (time.process_time() - begin) / (epochs * _RUNS)
+    name = f"gaussian engine, hybrid, {_RUNS} runs together: step of one (mean of {epochs})"
+    return Row(name, milliseconds, "ms", _BATCH_BAR_MS, "the same engine, a run alone", alone.value)
 
 
 def _particle_step(method: str, epochs: int) -> Row:

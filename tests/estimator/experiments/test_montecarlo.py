@@ -12,7 +12,7 @@ from estimator.errors import BackendError, ConfigurationError, InputError
 from estimator.experiments.cases import Case
 from estimator.experiments.montecarlo import SerialExecutor, map_runs, open_executor
 from estimator.experiments.room import Room
-from estimator.experiments.runs import Run, perform
+from estimator.experiments.runs import Run, batches, perform, perform_together
 
 
 def _fail(task: int) -> int:
@@ -42,6 +42,21 @@ def test_results_are_the_same_bits_with_one_job_and_with_two(walk: Callable[...,
     for one, other in zip(here, there, strict=True):
         np.testing.assert_array_equal(one.error_m, other.error_m)
         np.testing.assert_array_equal(one.ospa_m, other.ospa_m)
+
+
+def test_runs_in_batches_are_the_runs_alone(walk: Callable[..., Room]) -> None:
+    """Twelve Gaussian runs make two batches, a particle run one; run by run the scores are those alone."""
+    room = walk(6)
+    tasks = [Run(room, Case("hybrid", "gaussian"), 20 + i, 10) for i in range(12)]
+    tasks.append(Run(room, Case("mva", "particle"), 20, 50))
+    groups = batches(tasks)
+    assert [len(group) for group in groups] == [10, 2, 1]
+    together = [score for scores in map_runs(perform_together, groups, SerialExecutor()) for score in scores]
+    for task, score in zip(tasks, together, strict=True):
+        alone = perform(task)
+        np.testing.assert_allclose(score.error_m, alone.error_m, atol=1e-9)
+        np.testing.assert_allclose(score.ospa_m, alone.ospa_m, atol=1e-9)
+        assert score.seconds > 0.0
 
 
 def test_particles_give_the_same_bits_with_equal_seeds(walk: Callable[..., Room]) -> None:
