@@ -84,7 +84,9 @@ class GaussianConfig:
     confirm_radius_m : float
         Radius in which hypotheses on one wall are the same wall, metres.
     pending_epochs : int
-        Epochs after which an unconfirmed wall is given up.
+        Epochs after which an unconfirmed wall is given up,
+    pending_travel_m : float
+        if the agent has also come this far, metres.
     pair_radius_m : float
         A path this close to a predicted double bounce starts no wall, metres.
     pair_std_m : float
@@ -132,6 +134,7 @@ class GaussianConfig:
     confirm_weight: float = 0.98
     confirm_radius_m: float = 3.0
     pending_epochs: int = 40
+    pending_travel_m: float = 15.0
     pair_radius_m: float = 0.6
     pair_std_m: float = 0.5
     pair_gate_std_m: float = 0.4
@@ -169,8 +172,8 @@ class GaussianConfig:
         """The same models with room for more hypotheses."""
         return replace(
             self,
-            start_attempts=3 * self.start_attempts,
-            max_hypotheses=4 * self.max_hypotheses,
+            start_attempts=2 * self.start_attempts,
+            max_hypotheses=2 * self.max_hypotheses,
             prune_nats=1.5 * self.prune_nats,
         )
 

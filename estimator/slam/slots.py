@@ -14,6 +14,7 @@ from estimator.slam.state import NOWHERE_M, GaussianState, Rows, Slots
 __all__ = ["fresh_visibility", "judge", "open_slot"]
 
 Array = NDArray[np.float64]
+_PATIENCE = 10.0  # times the pending epochs: an agent that stands still
 _FRESH = (0.9, 0.6, 0.1)  # prior visibility of line of sight, wall and pair
 
 
@@ -83,9 +84,22 @@ def judge(state: GaussianState, config: GaussianConfig) -> GaussianState:
             slots = state.slots.copy()
             slots.confirmed[slot] = True
             state = replace(state, slots=slots, rows=rows.keep(alike))
-        elif weight[have].sum() < 1e-5 or state.epoch - state.slots.born[slot] > config.pending_epochs:
+        elif weight[have].sum() < 1e-5 or _overdue(state, int(slot), config):
             state = _close_slot(state, int(slot))
     return state
+
+
+def _overdue(state: GaussianState, slot: int, config: GaussianConfig) -> bool:
+    """Whether a wall has been pending long enough: in epochs, and in how far the agent has come since.
+
+    An agent that hardly moves learns hardly anything.
+    """
+    waited = float(state.epoch - state.slots.born[slot])
+    travelled = np.sum(np.linalg.norm(np.diff(state.trail[:, 1:3], axis=0), axis=1))
+    per_epoch = travelled / max(float(np.ptp(state.trail[:, 0])), 1.0)
+    return waited > config.pending_epochs and (
+        waited * per_epoch > config.pending_travel_m or waited > _PATIENCE * config.pending_epochs
+    )
 
 
 def _agreeing(state: GaussianState, slot: int, config: GaussianConfig) -> NDArray[np.bool_]:
