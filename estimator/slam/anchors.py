@@ -22,6 +22,7 @@ from estimator.slam.features import wall_side
 __all__ = ["Candidates", "PathBatch", "best_of", "evidence_at", "locate"]
 
 Array = NDArray[np.float64]
+_REFINED = 60  # intersections that are refined and weighed by all epochs
 _SURE = 0.9  # association probability from which a label is believed
 _PRIOR = (0.9, 0.6, 0.2)  # that a path of 0, 1, 2 bounces can be heard
 _BEHIND_LOG_PRIOR = -2.5  # of standing behind a known wall: anchors are rarely in other rooms
@@ -155,7 +156,7 @@ def _distinct(points: Array, score: Array, radius: float, limit: int) -> NDArray
     for index in order:
         if free[index]:
             kept.append(int(index))
-            free &= np.linalg.norm(points - points[index], axis=1) > radius
+            free &= np.sum((points - points[index]) ** 2, axis=1) > radius**2
             if len(kept) == limit:
                 break
     return np.array(kept, dtype=np.int64)
@@ -231,7 +232,7 @@ def locate(
         chance = visible * config.detection_probability
         scores.append(np.sum(np.log1p(chance * (relative.sum(axis=-1) - 1.0)), axis=-1))
     score = np.concatenate(scores)
-    points = seeds[_distinct(seeds, score, 0.7, 150)]
+    points = seeds[_distinct(seeds, score, 0.7, _REFINED)]
     points, information = _refine(points, centres, paths, walls, config)
     finite = np.all(np.isfinite(points), axis=1) & (np.linalg.norm(points, axis=1) < 2.0 * config.region_m)
     points, information = points[finite], information[finite]

@@ -170,12 +170,7 @@ class GaussianConfig:
 
     def widened(self) -> GaussianConfig:
         """The same models with room for more hypotheses."""
-        return replace(
-            self,
-            start_attempts=2 * self.start_attempts,
-            max_hypotheses=2 * self.max_hypotheses,
-            prune_nats=1.5 * self.prune_nats,
-        )
+        return replace(self, start_attempts=2 * self.start_attempts, max_hypotheses=2 * self.max_hypotheses)
 
     @property
     def clutter_density(self) -> float:

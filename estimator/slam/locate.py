@@ -44,7 +44,10 @@ def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfi
     The rows that lack the anchor split: one for each candidate place, weighted by
     its evidence, and one that goes on without it. A located anchor of which too much
     goes unexplained is searched again; a place that explains the recent epochs better
-    becomes a rival hypothesis, and the epochs to come decide.
+    becomes a rival hypothesis, and the epochs to come decide. While no anchor at all is located
+    the agent's motion is not known either, and waiting only loses what the start tells: after the
+    first epoch the anchor that is heard over most paths then starts from every place that explains
+    enough, even if one that explains too little is as likely.
 
     Parameters
     ----------
@@ -64,13 +67,23 @@ def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfi
         groups = (
             [np.array([state.rows.best])] if located else _alike(state.rows, waiting, state.layout.bias(k))
         )
-        forks = [_forks(state, paths, k, group, located, config) for group in groups]
-        if any(fork is not None for fork in forks):
-            rows = state.rows
-            for fork in forks:
-                rows = rows if fork is None else rows.joined(fork)
-            state = replace(state, rows=tidy(rows, config))
+        forks = [_forks(state, paths, k, group, config, _MARGIN_NATS) for group in groups]
+        state = _joined(state, forks, config)
+    if early and len(state.trail) and not state.rows.located.any():
+        everyone = np.arange(len(state.rows))
+        for k in np.argsort(-np.sum(paths.valid, axis=1), kind="stable").tolist():
+            state = _joined(state, [_forks(state, paths, k, everyone, config, -np.inf)], config)
+            if state.rows.located.any():
+                break
     return state
+
+
+def _joined(state: GaussianState, forks: list[Rows | None], config: GaussianConfig) -> GaussianState:
+    """The state with the new rows, pruned; as it is if there are none."""
+    rows = state.rows
+    for fork in forks:
+        rows = rows if fork is None else rows.joined(fork)
+    return state if rows is state.rows else replace(state, rows=tidy(rows, config))
 
 
 def _alike(rows: Rows, waiting: NDArray[np.int64], bias: int) -> list[NDArray[np.int64]]:
@@ -93,11 +106,15 @@ def _forks(
     paths: PathTable,
     k: int,
     rows: NDArray[np.int64],
-    located: bool,
     config: GaussianConfig,
+    margin: float,
 ) -> Rows | None:
-    """New rows, one for each of ``rows`` and each place of anchor ``k``; None if none is found."""
+    """New rows, one for each of ``rows`` and each place of anchor ``k``; None if none is found.
+
+    The best place has to beat those that explain too little by ``margin`` nats.
+    """
     first = int(rows[np.argmax(state.rows.log_weight[rows])])
+    located = bool(state.rows.located[first, k])
     centres, batch, walls = _gather(state, paths, k, first, config)
     found = _search(state, k, first, centres, batch, walls, config)
     now = centres.epoch == state.epoch
@@ -111,8 +128,10 @@ def _forks(
         bias = state.rows.mean[first, state.layout.bias(k)]
         shifted = replace(batch, length_m=np.maximum(batch.length_m - bias, 1e-3))
         enough &= rival & (found.log_evidence > evidence_at(here, centres, shifted, walls, config)[0])
+    if not enough.any():
+        return None
     rest = max(float(found.log_evidence[~enough].max(initial=0.0)), 0.0)
-    if not found.log_evidence[enough].max(initial=-np.inf) > rest + _MARGIN_NATS:
+    if not found.log_evidence[enough].max() > rest + margin:
         return None
     chosen = Candidates(*(getattr(found, entry.name)[enough] for entry in fields(found)))
     return _fork(state, paths, k, rows, chosen, centres, walls, config)
