@@ -7,13 +7,12 @@ two-dimensional equation (2) of the paper in three dimensions, with visibility.
 
 It shares nothing with the ray tracer, in double precision, and so proves that the
 tracer lost no path; it also serves where paths are needed without Mitsuba. Its cost
-grows as the number of surfaces to the power of the depth.
+grows as the number of sequences of surfaces that a beam from the anchor can take.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -146,7 +145,7 @@ def _paths_of_order(
     rim_m: float,
     leg_m: float,
 ) -> PathList:
-    sequences = _sequences(len(surfaces), order)
+    sequences = _sequences(surfaces, anchor, order, rim_m)
     block = max(1, _ROWS // max(1, len(sequences)))
     parts = []
     for first in range(0, len(positions), block):
@@ -177,14 +176,52 @@ def _paths_of_order(
     )
 
 
-def _sequences(surfaces: int, order: int) -> NDArray[np.int64]:
-    """All sequences of ``order`` bounces without an immediate repetition, shape (sequences, order)."""
-    kept = [
-        sequence
-        for sequence in product(range(surfaces), repeat=order)
-        if all(one != other for one, other in pairwise(sequence))
-    ]
-    return np.array(kept, dtype=np.int64).reshape(len(kept), order)
+def _sequences(surfaces: Surfaces, anchor: Array, order: int, rim_m: float) -> NDArray[np.int64]:
+    """Sequences of ``order`` bounces that light from the anchor can take, shape (sequences, order).
+
+    A surface follows another if some of it lies where the beam goes that this one reflects. Paths
+    that miss a surface have no such beam: with a negative rim any surface follows any other.
+    """
+    sequences, images = np.zeros((1, 0), dtype=np.int64), anchor[None]
+    for bounce in range(order):
+        follows = np.ones((len(sequences), len(surfaces)), dtype=bool)
+        if bounce:
+            last = sequences[:, -1]
+            follows[np.arange(len(sequences)), last] = False
+            if rim_m >= 0.0:
+                follows &= _lit(surfaces, images, last)
+        row, wall = np.nonzero(follows)
+        sequences = np.column_stack([sequences[row], wall])
+        images = _mirrored(surfaces, images[row], wall)
+    return sequences
+
+
+def _mirrored(surfaces: Surfaces, points: Array, index: NDArray[np.int64]) -> Array:
+    """Images (q, 3) of points in the planes of surfaces ``index`` (q,)."""
+    normal = surfaces.normal[index]
+    height = np.sum((points - surfaces.origin[index]) * normal, axis=-1)
+    return np.asarray(points - 2.0 * height[:, None] * normal)
+
+
+def _lit(surfaces: Surfaces, images: Array, last: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which surfaces may meet the beams (q,) from images through the surfaces ``last``; (q, surfaces).
+
+    The beam is a pyramid cut off at its surface; what lies outside one of its five planes is dark.
+    """
+    corners = surfaces.corners()
+    edges = corners[last] - images[:, None]
+    sides = np.cross(edges, np.roll(edges, -1, axis=1))
+    inward = np.sign(np.einsum("qpi,qi->qp", sides, edges.mean(axis=1)))
+    sides *= (inward / np.maximum(np.linalg.norm(sides, axis=-1), _TIP))[..., None]
+    normal = surfaces.normal[last]
+    height = np.sum((surfaces.origin[last] - images) * normal, axis=-1)
+    beyond = np.einsum("sci,qi->qsc", corners, normal * np.sign(height)[:, None])
+    beyond -= np.sum(surfaces.origin[last] * normal, axis=-1)[:, None, None] * np.sign(height)[:, None, None]
+    within = np.einsum("sci,qpi->qpsc", corners, sides)
+    within -= np.einsum("qi,qpi->qp", images, sides)[..., None, None]
+    flat = (inward == 0.0).any(axis=1) | (height == 0.0)  # seen edge on: no beam to speak of
+    lit = (within.max(axis=-1) > _TIP).all(axis=1) & (beyond.max(axis=-1) > _TIP)
+    return np.asarray(lit | flat[:, None])
 
 
 def _unfold(
@@ -197,11 +234,9 @@ def _unfold(
     """
     images = [np.broadcast_to(anchor, (len(sequences), 3))]
     for bounce in range(sequences.shape[1]):
-        wall = sequences[:, bounce]
-        height = np.sum((images[-1] - surfaces.origin[wall]) * surfaces.normal[wall], axis=-1)
-        images.append(images[-1] - 2.0 * height[:, None] * surfaces.normal[wall])
+        images.append(_mirrored(surfaces, images[-1], sequences[:, bounce]))
 
-    epoch, row = (axis.ravel() for axis in np.indices((len(positions), len(sequences))))
+    epoch, row = _opposite(surfaces, positions, images[-1], sequences)
     vertices = [positions[epoch]]
     for bounce in reversed(range(sequences.shape[1])):
         wall = sequences[row, bounce]
@@ -219,25 +254,44 @@ def _unfold(
     return epoch, row, np.stack([np.broadcast_to(anchor, vertices[0].shape), *vertices], axis=1)
 
 
+def _opposite(
+    surfaces: Surfaces, positions: Array, images: Array, sequences: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Positions (n, 3) and sequences (q, order) whose image is on the other side of the last surface."""
+    if sequences.shape[1] == 0:
+        return np.arange(len(positions)), np.zeros(len(positions), dtype=np.int64)
+    last = sequences[:, -1]
+    normal = surfaces.normal[last]
+    offset = np.sum(surfaces.origin[last] * normal, axis=-1)
+    there = np.sum(images * normal, axis=-1) - offset > 0.0
+    here = positions @ normal.T - offset > 0.0
+    epoch, row = np.nonzero(here != there)
+    return epoch, row
+
+
 def _on_rectangle(
-    surfaces: Surfaces, index: NDArray[np.int64] | slice, points: Array, margin_m: Array
+    surfaces: Surfaces, index: NDArray[np.int64], points: Array, margin_m: Array
 ) -> NDArray[np.bool_]:
     """Whether points in the planes of surfaces ``index`` lie on the rectangles, grown by a margin."""
     offset = points - surfaces.origin[index]
-    along = np.einsum("...d,...sd->...s", offset, surfaces.sides[index])
-    margin_m = margin_m[..., None]
+    along = np.einsum("nd,nsd->ns", offset, surfaces.sides[index])
+    margin_m = margin_m[:, None]
     within = (along >= -margin_m) & (along <= surfaces.lengths[index] + margin_m)
     return np.asarray(within.all(axis=-1))
 
 
 def blocked(surfaces: Surfaces, start: Array, end: Array, rim_m: float = _RIM_M) -> NDArray[np.bool_]:
     """Whether legs (paths, legs, 3) meet any surface, grown by a rim, between their ends; (paths, legs)."""
-    start, towards = start[..., None, :], (end - start)[..., None, :]
-    slope = np.sum(towards * surfaces.normal, axis=-1)
-    gap = np.sum((surfaces.origin - start) * surfaces.normal, axis=-1)
+    towards = end - start
+    slope = towards @ surfaces.normal.T
+    gap = np.sum(surfaces.origin * surfaces.normal, axis=-1) - start @ surfaces.normal.T
     with np.errstate(divide="ignore", invalid="ignore"):
         fraction = gap / slope
-        margin = rim_m * np.linalg.norm(towards, axis=-1) / np.abs(slope)
-    inside = (fraction > _TIP) & (fraction < 1.0 - _TIP)
-    point = start + np.where(inside, fraction, 0.0)[..., None] * towards
-    return np.asarray(np.any(inside & _on_rectangle(surfaces, slice(None), point, margin), axis=-1))
+    path, leg, surface = np.nonzero((fraction > _TIP) & (fraction < 1.0 - _TIP))
+    along, crossing = towards[path, leg], (path, leg, surface)
+    margin = rim_m * np.linalg.norm(along, axis=-1) / np.abs(slope[crossing])
+    point = start[path, leg] + fraction[crossing][:, None] * along
+    met = _on_rectangle(surfaces, surface, point, margin)
+    result = np.zeros(slope.shape[:2], dtype=bool)
+    result[path[met], leg[met]] = True
+    return result

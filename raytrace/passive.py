@@ -5,8 +5,8 @@ of a fixed width, so that neither a position, nor a track's length, nor another 
 compiles a kernel. In a large batch the solver drops a few paths of two and more
 bounces: it recognises candidates that it has seen by a hash, and hashes collide. The
 image method says what there should be; positions that miss something are traced
-again, repeated until they fill a batch, which gives every path several other hashes,
-then with more rays. Paths that bounce within a millimetre of a corner, or pass one so
+again in small batches with more rays, repeated until they fill them, which gives every
+path several other hashes, too. Paths that bounce within a millimetre of a corner, or pass one so
 closely, are not expected, for there the tracer's single precision decides, and not extra
 if they are found; nor are those with a leg of about a centimetre or less (two bounces at
 one corner), which the tracer leaves out. Directions are computed anew in double precision,
@@ -15,7 +15,9 @@ and paths that name the surface beside the one they meet are dropped (:mod:`rayt
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +32,13 @@ from raytrace.solver import Bends, solve
 __all__ = ["LEG_M", "RIM_M", "TraceReport", "trace_bent", "trace_passive", "trace_specular"]
 
 _BATCH = 256
+_MANY = 32  # that miss something: the next batch gets more rays
 RIM_M = 1e-3
 # The tracer's own limit is 10 mm; its single precision misjudges by up to a millimetre.
 LEG_M = 12e-3
-# Rays of the repeated attempts, as multiples of the plan's.
-_RETRIES = (1, 1, 4, 16, 64)
+# Rays of the repeated attempts, as multiples of the plan's, and positions in a batch. What is missing is
+# mostly a surface so small that no ray met it; fewer positions at a time pay for more rays.
+_RETRIES = ((4, 32), (4, 32), (16, 16), (64, 8), (256, 4))
 
 Array = NDArray[np.float64]
 
@@ -111,26 +115,21 @@ def trace_specular(
     def keys(paths: PathList) -> NDArray[np.int64]:
         return paths.keys(len(sources_m), len(plan.surface_names))
 
-    everywhere = np.arange(len(positions_m))
     parts, retraced = [], 0
     for index, source in enumerate(sources_m):
+        trace = partial(_trace, radio, source, index, positions_m, depth=depth, polarised=polarised)
         mine = exact.select(exact.anchor == index)
-        part = _trace(radio, source, index, positions_m, everywhere, depth, plan.tracing.samples, polarised)
-        for attempt, more in enumerate(_RETRIES):
-            missing = np.unique(mine.epoch[~np.isin(keys(mine), keys(part))])
-            if not missing.size:
-                break
-            retraced += missing.size
-            epochs, samples = np.roll(missing, attempt), more * plan.tracing.samples
-            again = _trace(radio, source, index, positions_m, epochs, depth, samples, polarised)
-            part = _distinct(PathList.concatenate([part, again]))
+        part, again = _complete(trace, len(positions_m), plan.tracing.samples, mine.epoch, keys(mine), keys)
         parts.append(part)
+        retraced += again
 
     paths = sharpened(plan, PathList.concatenate(parts), positions_m, sources_m, RIM_M)
     expected, traced = keys(exact), keys(paths)
     unexpected = np.setdiff1d(traced, expected)
     if unexpected.size:
-        at_corners = keys(image_paths(plan, positions_m, depth, sources_m, rim_m=-RIM_M).flat())
+        where = np.unique(paths.epoch[np.isin(traced, unexpected)])
+        there = image_paths(plan, positions_m[where], depth, sources_m, rim_m=-RIM_M).flat()
+        at_corners = keys(replace(there, epoch=where[there.epoch]))
         expected = np.union1d(expected, np.intersect1d(unexpected, at_corners))
     found = np.intersect1d(expected, traced).size
     report = TraceReport(
@@ -141,6 +140,36 @@ def trace_specular(
         retraced=retraced,
     )
     return PathSet.build(paths, len(positions_m), len(sources_m)), report
+
+
+def _complete(
+    trace: Callable[..., PathList],
+    positions: int,
+    samples: int,
+    epoch: NDArray[np.int64],
+    expected: NDArray[np.int64],
+    keys: Callable[[PathList], NDArray[np.int64]],
+) -> tuple[PathList, int]:
+    """Trace until nothing ``expected`` at any ``epoch`` is missing; the paths, and positions traced again.
+
+    Where a batch misses much, the next ones get twice the rays.
+    """
+    parts, more = [], 1
+    for first in range(0, positions, _BATCH):
+        batch = np.arange(first, min(first + _BATCH, positions))
+        parts.append(trace(batch, more * samples))
+        due = (epoch >= first) & (epoch < first + _BATCH)
+        if np.sum(~np.isin(expected[due], keys(parts[-1]))) > _MANY:
+            more = 2
+    part, retraced = _distinct(PathList.concatenate(parts)), 0
+    for attempt, (more, width) in enumerate(_RETRIES):
+        missing = np.unique(epoch[~np.isin(expected, keys(part))])
+        if not missing.size:
+            break
+        retraced += missing.size
+        again = trace(np.roll(missing, attempt), more * samples, width=width)
+        part = _distinct(PathList.concatenate([part, again]))
+    return part, retraced
 
 
 def trace_bent(plan: FloorPlan, radio: RadioScene, positions_m: Array) -> PathList:
@@ -165,7 +194,17 @@ def trace_bent(plan: FloorPlan, radio: RadioScene, positions_m: Array) -> PathLi
     bends = Bends(tracing.refraction, tracing.diffraction, tracing.edge_diffraction)
     everywhere = np.arange(len(positions_m))
     parts = [
-        _trace(radio, source, index, positions_m, epochs, tracing.depth, samples, plan.polarised, bends)
+        _trace(
+            radio,
+            source,
+            index,
+            positions_m,
+            epochs,
+            samples,
+            depth=tracing.depth,
+            polarised=plan.polarised,
+            bends=bends,
+        )
         for index, source in enumerate(plan.anchors_m())
         for epochs, samples in ((everywhere, tracing.samples), (np.roll(everywhere, 97), 4 * tracing.samples))
     ]
@@ -179,15 +218,17 @@ def _trace(
     index: int,
     positions: Array,
     epochs: NDArray[np.int64],
-    depth: int,
     samples: int,
+    *,
+    depth: int,
     polarised: bool,
     bends: Bends | None = None,
+    width: int = _BATCH,
 ) -> PathList:
     """Paths of one source to some epochs, in full batches: the last is filled by repeating epochs."""
-    filled = np.resize(epochs, -(-len(epochs) // _BATCH) * _BATCH)
+    filled = np.resize(epochs, -(-len(epochs) // width) * width)
     parts = []
-    for batch in filled.reshape(-1, _BATCH):
+    for batch in filled.reshape(-1, width):
         traced = solve(
             radio,
             source,
