@@ -150,8 +150,11 @@ def _paths_of_order(
     parts = []
     for first in range(0, len(positions), block):
         epoch, row, vertices = _unfold(surfaces, positions[first : first + block], anchor, sequences, rim_m)
-        clear = ~np.any(blocked(surfaces, vertices[:, :-1], vertices[:, 1:], rim_m), axis=1)
-        clear &= np.all(np.linalg.norm(np.diff(vertices, axis=1), axis=-1) >= leg_m, axis=1)
+        clear = np.all(np.linalg.norm(np.diff(vertices, axis=1), axis=-1) >= leg_m, axis=1)
+        for leg in range(order + 1):  # what the first leg ends is not asked for the next
+            left = np.flatnonzero(clear)
+            ends = vertices[left, leg : leg + 2]
+            clear[left] = ~blocked(surfaces, ends[:, :1], ends[:, 1:], rim_m)[:, 0]
         parts.append((epoch[clear] + first, sequences[row[clear]], vertices[clear]))
     epoch, hit, vertices = (np.concatenate(columns) for columns in zip(*parts, strict=True))
 
