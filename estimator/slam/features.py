@@ -20,6 +20,7 @@ from estimator.slam.virtual_anchors import VirtualAnchors
 __all__ = ["Prediction", "predict_azimuths", "predict_paths", "reflect", "wall_side"]
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,56 +65,67 @@ def wall_side(point: Array, vrp: Array) -> Array:
     return np.asarray(_dot(point, vrp) / length - 0.5 * length)
 
 
-def _by_wall(point: Array, vrp: Array, direction: Array) -> Array:
-    """``direction^T d reflect(point, vrp) / d vrp``, arrays (..., 2) that broadcast."""
-    square = _dot(vrp, vrp)[..., None]
-    scale = _dot(point, vrp)[..., None] / square
-    along = _dot(vrp, direction)[..., None]
-    return np.asarray((1.0 - 2.0 * scale) * direction - 2.0 * along / square * (point - 2.0 * scale * vrp))
+def _plane(vectors: Array) -> Complex:
+    """Plane vectors (..., 2) as complex numbers (...)."""
+    return np.asarray(vectors[..., 0] + 1j * vectors[..., 1])
 
 
-def _flip(direction: Array, vrp: Array) -> Array:
-    """``direction^T d reflect(point, vrp) / d point``: the mirrored direction."""
-    along = _dot(vrp, direction) / _dot(vrp, vrp)
-    return np.asarray(direction - (2.0 * along)[..., None] * vrp)
+def _vectors(plane: Complex) -> Array:
+    """The inverse of :func:`_plane`."""
+    return np.ascontiguousarray(plane)[..., None].view(np.float64)
+
+
+def _by_wall(point: Complex, vrp: Complex, turn: Complex, direction: Complex) -> Complex:
+    """``direction^T d M_vrp(point) / d vrp``."""
+    part = direction * point / vrp
+    return np.asarray(direction - part + turn * part.conj())
 
 
 class Room:
-    """The parts of state vectors, and how a shift of a source follows from theirs."""
+    """The parts of state vectors, and how a shift of a source follows from theirs.
+
+    In the complex plane a mirror is ``M_v(q) = v - t conj(q)`` with ``t = v / conj(v)``, and the
+    mirrored direction of ``d`` is ``-t conj(d)``: a few products of small arrays, which is what counts.
+    """
 
     def __init__(self, mean: Array, layout: Layout) -> None:
         rows, self.layout = len(mean), layout
         devices = mean[:, layout.FIRST_ANCHOR : layout.walls.start].reshape(rows, -1, layout.PER_ANCHOR)
         self.agent = mean[:, None, 0:2]  # (R, 1, 2)
         self.anchor, self.height2, self.bias = devices[..., 0:2], devices[..., 2], devices[..., 3]
-        self.wall = mean[:, layout.walls].reshape(rows, 1, layout.slots, 2)
-        self.first, self.second = self.wall[:, :, :, None, :], self.wall[:, :, None, :, :]  # of (l, m)
-        self.image = reflect(self.anchor[:, :, None, :], self.wall)  # (R, K, L, 2)
-        self.double = reflect(self.image[:, :, :, None, :], self.second)  # (R, K, L, M, 2)
+        self._anchor = _plane(self.anchor)  # (R, K)
+        wall = _plane(mean[:, layout.walls].reshape(rows, 1, layout.slots, 2))
+        turn = wall / wall.conj()
+        self._wall, self._turn = wall, turn  # (R, 1, L)
+        self._second, self._second_turn = wall[:, :, None, :], turn[:, :, None, :]  # of (l, m)
+        self._image = wall - turn * self._anchor[:, :, None].conj()  # (R, K, L)
+        self._double = self._second - self._second_turn * self._image[..., None].conj()  # (R, K, L, M)
 
     def sources(self) -> Array:
         """The anchors and their images, (R, K, F, 2)."""
-        rows, anchors = self.anchor.shape[:2]
-        flat = self.double.reshape(rows, anchors, -1, 2)
-        return np.concatenate([self.anchor[:, :, None], self.image, flat], axis=2)
+        flat = self._double.reshape(*self._anchor.shape, -1)
+        return _vectors(np.concatenate([self._anchor[:, :, None], self._image, flat], axis=2))
 
     def pull_back(self, covector: Array) -> Array:
         """Derivatives (R, K, F, n) of something that depends on agent minus source by ``covector``."""
-        layout = self.layout
+        layout, slots = self.layout, self.layout.slots
         rows, anchors, features = covector.shape[:3]
-        slots = layout.slots
-        singles = covector[:, :, 1 : 1 + slots]
-        doubles = covector[:, :, 1 + slots :].reshape(rows, anchors, slots, slots, 2)
-        before = _flip(doubles, self.second)  # seen from between the two bounces
+        plane = _plane(covector)
+        singles, doubles = plane[:, :, 1 : 1 + slots], plane[:, :, 1 + slots :]
+        doubles = doubles.reshape(rows, anchors, slots, slots)
+        before = -self._second_turn * doubles.conj()  # seen from between the two bounces
+        first, first_turn = self._wall[..., None], self._turn[..., None]
+        flipped = (-first_turn * before.conj()).reshape(rows, anchors, -1)
+        by_anchor = np.concatenate([plane[:, :, :1], -self._turn * singles.conj(), flipped], axis=2)
+        anchor = self._anchor[:, :, None]
+        by_wall = _vectors(-_by_wall(anchor, self._wall, self._turn, singles))
+        by_first = _vectors(-_by_wall(anchor[..., None], first, first_turn, before))
+        by_second = _vectors(-_by_wall(self._image[..., None], self._second, self._second_turn, doubles))
+        by_anchor = _vectors(-by_anchor)
         jacobian = np.zeros((rows, anchors, features, layout.size))
         jacobian[..., 0:2] = covector
-        flipped = _flip(before, self.first).reshape(rows, anchors, -1, 2)
-        by_anchor = np.concatenate([covector[:, :, :1], _flip(singles, self.wall), flipped], axis=2)
         for k in range(anchors):
-            jacobian[:, k, :, layout.anchor_xy(k)] = -by_anchor[:, k]
-        by_wall = -_by_wall(self.anchor[:, :, None, :], self.wall, singles)
-        by_first = -_by_wall(self.anchor[:, :, None, None, :], self.first, before)
-        by_second = -_by_wall(self.image[:, :, :, None, :], self.second, doubles)
+            jacobian[:, k, :, layout.anchor_xy(k)] = by_anchor[:, k]
         pairs = jacobian[:, :, 1 + slots :].reshape(rows, anchors, slots, slots, layout.size)
         for slot in range(slots):
             columns = layout.wall(slot)
@@ -125,16 +137,19 @@ class Room:
 
     def possible(self) -> NDArray[np.bool_]:
         """Whether agent and anchor stand on the sides of the walls that bounces need, (R, K, F)."""
-        rows, anchors = self.anchor.shape[:2]
-        agent_side = wall_side(self.agent[:, :, None, :], self.wall)  # (R, 1, L)
-        anchor_side = wall_side(self.anchor[:, :, None, :], self.wall)  # (R, K, L)
-        image_side = wall_side(self.image[:, :, :, None, :], self.second)  # (R, K, L, M)
+        rows, anchors = self._anchor.shape
+        length = np.abs(self._wall)
+        towards, half = (self._wall / length).conj(), 0.5 * length
+        agent = _plane(self.agent)[..., None]  # (R, 1, 1)
+        agent_side = (agent * towards).real - half  # (R, 1, L)
+        anchor_side = (self._anchor[:, :, None] * towards).real - half  # (R, K, L)
+        image_side = (self._image[..., None] * towards[:, :, None, :]).real - half[:, :, None, :]
         near = agent_side[:, :, None, :]
         total = near + image_side
         fraction = near / np.where(np.abs(total) < 1e-9, 1e-9, total)
-        agent = self.agent[:, :, None, None, :]
-        bounce = agent + fraction[..., None] * (self.double - agent)  # on wall m
-        pair = (near * image_side > 0.0) & (wall_side(bounce, self.first) * anchor_side[..., None] > 0.0)
+        bounce = agent[..., None] + fraction * (self._double - agent[..., None])  # on wall m
+        bounce_side = (bounce * towards[..., None]).real - half[..., None]
+        pair = (near * image_side > 0.0) & (bounce_side * anchor_side[..., None] > 0.0)
         pair &= ~np.eye(self.layout.slots, dtype=bool)
         direct = np.ones((rows, anchors, 1), dtype=bool)
         return np.concatenate(
