@@ -275,9 +275,11 @@ def _ratios(
     gated = (
         paths.valid[:, :, None, :] & (distance < config.gate_sigma**2) & ((chance > 0.0) & known)[..., None]
     )
-    density = np.exp(-0.5 * distance) / np.sqrt(2.0 * np.pi * s)
-    odds = chance / ((1.0 - chance) * clutter)
-    return np.where(gated, odds[..., None] * density, 0.0), spread, innovation
+    ratio = np.zeros(gated.shape)
+    near = np.nonzero(gated)
+    odds = (chance / ((1.0 - chance) * clutter))[near[:-1]]
+    ratio[near] = odds * (np.exp(-0.5 * distance[near]) / np.sqrt(2.0 * np.pi * s[near]))
+    return ratio, spread, innovation
 
 
 def predicted_variance(prediction: Prediction, covariance: Array) -> Array:
