@@ -1,9 +1,7 @@
 """Traced paths against the image method, one by one: which, when, whence, and how strong.
 
 Paths that are decided at a corner (to a millimetre, or by two bounces within a centimetre) may
-or may not have been traced. Single precision also costs amplitudes: near a corner, where legs are
-short, and in the depth of a Brewster null, where little is left of the path. There magnitudes are
-not compared.
+or may not have been traced.
 """
 
 from __future__ import annotations
@@ -22,14 +20,10 @@ from raytrace.paths import NO_SURFACE, PathList, directions_of
 
 __all__ = ["Comparison", "compare"]
 
-# A delay or an arrival that differs by more is wrong.
+# A path whose delay, arrival or magnitude differs by more is wrong.
 _DELAY_M = 1e-3
 _ANGLE_DEG = 0.01
 _AMPLITUDE_DB = 0.05
-# Nearer to a corner (0.14 dB off at 4 cm, 0.054 at 12 cm), or weaker than free space by more
-# (0.07 dB off 30 dB down), single precision shows: amplitudes are not compared.
-_CORNER_M = 0.2
-_FADED_DB = 25.0
 _MOST_NAMED = 100
 
 
@@ -43,14 +37,11 @@ class Comparison:
         Paths of the image method, those among them in the files, those that are not,
         and paths in the files that no image explains.
     wrong : int
-        Found paths whose delay is off by more than a millimetre, or whose arrival by
-        more than 0.01 degrees.
-    delay_error_m, angle_error_deg : float
-        Largest deviations of delays (as lengths) and directions of arrival, as far as these are numbers.
-    amplitude_error_db, amplitude_over : float, int
-        Largest deviation of a magnitude from Fresnel theory, and how many deviate by more
-        than 0.05 dB: among paths that stay 20 cm from every corner and are at most 25 dB
-        weaker than over as much free space.
+        Found paths whose delay is off by more than a millimetre, whose arrival by more than
+        0.01 degrees, or whose magnitude by more than 0.05 dB from Fresnel theory.
+    delay_error_m, angle_error_deg, amplitude_error_db : float
+        Largest deviations of delays (as lengths), directions of arrival and magnitudes, as far as
+        these are numbers.
     named : tuple of dict
         The first hundred paths that are missing, extra or wrong: ``fault``, ``epoch``,
         ``anchor``, ``surfaces`` from the anchor to the agent.
@@ -64,7 +55,6 @@ class Comparison:
     delay_error_m: float = 0.0
     angle_error_deg: float = 0.0
     amplitude_error_db: float = 0.0
-    amplitude_over: int = 0
     named: tuple[dict[str, Any], ...] = field(default=())
 
     @property
@@ -113,8 +103,9 @@ def compare(plan: FloorPlan, positions_m: NDArray[np.float64], paths: PathList, 
     cosine = np.sum(_directions(mine) * _directions(exact), axis=-1)
     sine = np.linalg.norm(np.cross(_directions(mine), _directions(exact)), axis=-1)
     angle_deg = np.rad2deg(np.arctan2(sine, cosine))
-    off = ~((delay_m <= _DELAY_M) & (angle_deg <= _ANGLE_DEG))
-    amplitude_db = _deviations_db(plan, positions_m, mine, exact)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        amplitude_db = np.abs(20.0 * np.log10(np.abs(mine.amplitude) / np.abs(exact.amplitude)))
+    off = ~((delay_m <= _DELAY_M) & (angle_deg <= _ANGLE_DEG) & (amplitude_db <= _AMPLITUDE_DB))
     faults = (("missing", lost), ("extra", surplus), ("wrong", mine.select(off)))
     named = [path for fault, some in faults for path in _named(plan, fault, some, first)]
     return Comparison(
@@ -126,22 +117,8 @@ def compare(plan: FloorPlan, positions_m: NDArray[np.float64], paths: PathList, 
         delay_error_m=_largest(delay_m),
         angle_error_deg=_largest(angle_deg),
         amplitude_error_db=_largest(amplitude_db),
-        amplitude_over=int(np.sum(~(amplitude_db <= _AMPLITUDE_DB))),
         named=tuple(named[:_MOST_NAMED]),
     )
-
-
-def _deviations_db(
-    plan: FloorPlan, positions_m: NDArray[np.float64], mine: PathList, exact: PathList
-) -> NDArray[np.float64]:
-    """How far magnitudes are off, as far as they can be compared, decibels."""
-    clear = image_paths(plan, positions_m, rim_m=_CORNER_M, leg_m=_CORNER_M).flat()
-    free = 1.0 / (4.0 * np.pi * plan.radio.carrier_hz * exact.delay_s)
-    strong = np.abs(exact.amplitude) > 10.0 ** (-_FADED_DB / 20.0) * free
-    fair = strong & np.isin(_keys(plan, exact), _keys(plan, clear))
-    with np.errstate(divide="ignore"):
-        off = 20.0 * np.log10(np.abs(mine.amplitude[fair]) / np.abs(exact.amplitude[fair]))
-    return np.asarray(np.abs(off))
 
 
 def _largest(values: NDArray[np.float64]) -> float:

@@ -22,7 +22,7 @@ from raytrace.fields import specular_amplitude
 from raytrace.floorplan import FloorPlan
 from raytrace.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathList, PathSet, angles_of
 
-__all__ = ["Surfaces", "blocked", "image_paths", "surfaces_of"]
+__all__ = ["Surfaces", "blocked", "image_paths", "mirrored", "surfaces_of"]
 
 Array = NDArray[np.float64]
 
@@ -145,11 +145,11 @@ def _paths_of_order(
     rim_m: float,
     leg_m: float,
 ) -> PathList:
-    sequences = _sequences(surfaces, anchor, order, rim_m)
+    sequences, images = _sequences(surfaces, anchor, order, rim_m)
     block = max(1, _ROWS // max(1, len(sequences)))
     parts = []
     for first in range(0, len(positions), block):
-        epoch, row, vertices = _unfold(surfaces, positions[first : first + block], anchor, sequences, rim_m)
+        epoch, row, vertices = _unfold(surfaces, positions[first : first + block], sequences, images, rim_m)
         clear = np.all(np.linalg.norm(np.diff(vertices, axis=1), axis=-1) >= leg_m, axis=1)
         for leg in range(order + 1):  # what the first leg ends is not asked for the next
             left = np.flatnonzero(clear)
@@ -179,27 +179,31 @@ def _paths_of_order(
     )
 
 
-def _sequences(surfaces: Surfaces, anchor: Array, order: int, rim_m: float) -> NDArray[np.int64]:
+def _sequences(
+    surfaces: Surfaces, anchor: Array, order: int, rim_m: float
+) -> tuple[NDArray[np.int64], Array]:
     """Sequences of ``order`` bounces that light from the anchor can take, shape (sequences, order).
+
+    Also the anchor and its images after every bounce, (sequences, order + 1, 3).
 
     A surface follows another if some of it lies where the beam goes that this one reflects. Paths
     that miss a surface have no such beam: with a negative rim any surface follows any other.
     """
-    sequences, images = np.zeros((1, 0), dtype=np.int64), anchor[None]
+    sequences, images = np.zeros((1, 0), dtype=np.int64), anchor[None, None]
     for bounce in range(order):
         follows = np.ones((len(sequences), len(surfaces)), dtype=bool)
         if bounce:
             last = sequences[:, -1]
             follows[np.arange(len(sequences)), last] = False
             if rim_m >= 0.0:
-                follows &= _lit(surfaces, images, last)
+                follows &= _lit(surfaces, images[:, -1], last)
         row, wall = np.nonzero(follows)
         sequences = np.column_stack([sequences[row], wall])
-        images = _mirrored(surfaces, images[row], wall)
-    return sequences
+        images = np.concatenate([images[row], mirrored(surfaces, images[row, -1], wall)[:, None]], axis=1)
+    return sequences, images
 
 
-def _mirrored(surfaces: Surfaces, points: Array, index: NDArray[np.int64]) -> Array:
+def mirrored(surfaces: Surfaces, points: Array, index: NDArray[np.int64]) -> Array:
     """Images (q, 3) of points in the planes of surfaces ``index`` (q,)."""
     normal = surfaces.normal[index]
     height = np.sum((points - surfaces.origin[index]) * normal, axis=-1)
@@ -228,22 +232,18 @@ def _lit(surfaces: Surfaces, images: Array, last: NDArray[np.int64]) -> NDArray[
 
 
 def _unfold(
-    surfaces: Surfaces, positions: Array, anchor: Array, sequences: NDArray[np.int64], rim_m: float
+    surfaces: Surfaces, positions: Array, sequences: NDArray[np.int64], images: Array, rim_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Bounces of every sequence (q, order) seen from every position (n, 3), those on their surfaces.
 
     Returns the position's index, the sequence's, and the vertices from anchor to agent
     (paths, order + 2, 3).
     """
-    images = [np.broadcast_to(anchor, (len(sequences), 3))]
-    for bounce in range(sequences.shape[1]):
-        images.append(_mirrored(surfaces, images[-1], sequences[:, bounce]))
-
-    epoch, row = _opposite(surfaces, positions, images[-1], sequences)
+    epoch, row = _opposite(surfaces, positions, images[:, -1], sequences)
     vertices = [positions[epoch]]
     for bounce in reversed(range(sequences.shape[1])):
         wall = sequences[row, bounce]
-        towards = images[bounce + 1][row] - vertices[0]
+        towards = images[row, bounce + 1] - vertices[0]
         normal = surfaces.normal[wall]
         slope = np.sum(towards * normal, axis=-1)
         gap = np.sum((surfaces.origin[wall] - vertices[0]) * normal, axis=-1)
@@ -254,7 +254,7 @@ def _unfold(
         on = (fraction > _TIP) & (fraction < 1.0 - _TIP) & _on_rectangle(surfaces, wall, point, margin)
         epoch, row = epoch[on], row[on]
         vertices = [point[on], *(vertex[on] for vertex in vertices)]
-    return epoch, row, np.stack([np.broadcast_to(anchor, vertices[0].shape), *vertices], axis=1)
+    return epoch, row, np.stack([images[row, 0], *vertices], axis=1)
 
 
 def _opposite(

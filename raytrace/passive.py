@@ -9,8 +9,9 @@ again in small batches with more rays, repeated until they fill them, which give
 path several other hashes, too. Paths that bounce within a millimetre of a corner, or pass one so
 closely, are not expected, for there the tracer's single precision decides, and not extra
 if they are found; nor are those with a leg of about a centimetre or less (two bounces at
-one corner), which the tracer leaves out. Directions are computed anew in double precision,
-and paths that name the surface beside the one they meet are dropped (:mod:`raytrace.bounces`).
+one corner), which the tracer leaves out. Delays, directions and gains are computed anew in double
+precision, and paths that name the surface beside the one they meet are dropped
+(:mod:`raytrace.bounces`).
 """
 
 from __future__ import annotations
@@ -123,7 +124,7 @@ def trace_specular(
         parts.append(part)
         retraced += again
 
-    paths = sharpened(plan, PathList.concatenate(parts), positions_m, sources_m, RIM_M)
+    paths = sharpened(plan, PathList.concatenate(parts), positions_m, sources_m, RIM_M, radio.carrier_hz)
     expected, traced = keys(exact), keys(paths)
     unexpected = np.setdiff1d(traced, expected)
     if unexpected.size:

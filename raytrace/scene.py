@@ -33,12 +33,15 @@ class RadioScene:
     ----------
     scene : sionna.rt.Scene
         The scene at one carrier, without transmitters and receivers.
+    carrier_hz : float
+        This carrier, hertz.
     surfaces_by_object : dict of int to ndarray of int16
         For each object's identity, the surface (an index of
         ``FloorPlan.surface_names``) of every pair of triangles.
     """
 
     scene: Any
+    carrier_hz: float
     surfaces_by_object: dict[int, NDArray[np.int16]]
 
     def surfaces(self, objects: NDArray[np.uint32], primitives: NDArray[np.uint32]) -> NDArray[np.int16]:
@@ -87,7 +90,7 @@ def build_scene(plan: FloorPlan, carrier_hz: float) -> RadioScene:
         scene.objects[f"slab-{number}"].object_id: np.array(members, dtype=np.int16)
         for number, members in enumerate(groups.values())
     }
-    return RadioScene(scene, members_of)
+    return RadioScene(scene, carrier_hz, members_of)
 
 
 def _material(plan: FloorPlan, slab: Wall | Slab, number: int) -> Any:

@@ -109,7 +109,7 @@ def _sionna_paths(
     scene = radio.scene
     for device in (*scene.transmitters, *scene.receivers):
         scene.remove(device)
-    wavelength = SPEED_OF_LIGHT_M_S / float(scene.frequency[0])
+    wavelength = SPEED_OF_LIGHT_M_S / radio.carrier_hz
     scene.tx_array = _array(source_m[None] / wavelength, polarization)
     scene.rx_array = _array(targets_m / wavelength, polarization)
     scene.add([rt.Transmitter("source", [0.0, 0.0, 0.0]), rt.Receiver("targets", [0.0, 0.0, 0.0])])
@@ -158,11 +158,10 @@ def _path_list(radio: RadioScene, paths: Any, depth: int) -> PathList:
         return np.asarray(by_mode(tensor)[0, :, 0][valid], dtype=np.float64)
 
     delay = pick(paths.tau)
-    carrier_hz = float(radio.scene.frequency[0])
     real, imaginary = (
         np.moveaxis(by_mode(part), (0, 2), (-2, -1))[valid].astype(np.float64) for part in paths.a
     )
-    turn = np.exp(-2j * np.pi * carrier_hz * delay)
+    turn = np.exp(-2j * np.pi * radio.carrier_hz * delay)
     transfer = (real + 1j * imaginary) * turn[:, None, None]  # (path, received, sent)
     if depth == 0 or not len(delay):
         walls = np.full((len(delay), max(depth, 1)), NO_SURFACE, dtype=np.int16)

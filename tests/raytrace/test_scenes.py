@@ -40,8 +40,7 @@ def test_no_path_is_lost(name: str, depth: int) -> None:
     result = compare(plan, plan.track(), paths.flat())
     assert result.ok, result.as_dict()
     assert result.found == report.found
-    assert result.amplitude_over == 0
-    assert 0.0 < result.amplitude_error_db < 0.05
+    assert result.amplitude_error_db < 1e-6
 
 
 @pytest.mark.soak
@@ -54,7 +53,7 @@ def test_whole_scenes_are_traced(name: str, depth: int) -> None:
     result = compare(plan, plan.track(), paths.flat())
     print(name, depth, report.as_dict(), {**result.as_dict(), "named": ()})  # noqa: T201
     assert result.missing == report.missing <= (1e-3 * report.expected if depth == 3 else 0)
-    assert (result.extra, result.wrong, result.amplitude_over) == (0, 0, 0)
+    assert (result.extra, result.wrong) == (0, 0)
 
 
 def test_the_office_has_doors_and_glass() -> None:

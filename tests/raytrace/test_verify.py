@@ -44,15 +44,15 @@ def forged(sharded: Dataset, tmp_path: Path) -> Callable[[Change], Dataset]:
 
 
 def test_a_good_dataset_is_good(sharded: Dataset) -> None:
-    """Nothing is missing, extra or wrong; deviations are single precision's, counts generation's."""
+    """Nothing is missing, extra or wrong; files are in double precision, counts generation's."""
     told: list[tuple[int, int]] = []
     result = verify(sharded, lambda done, total, _: told.append((done, total)))
     assert result.ok
     assert (result.missing, result.extra, result.wrong, result.named) == (0, 0, 0, ())
     assert result.found == result.expected == sharded.manifest["statistics"]["passive"]["found"] > 800
-    assert 0 < result.delay_error_m < 1e-3
-    assert 0 < result.angle_error_deg < 0.01
-    assert 0 < result.amplitude_error_db < 0.05
+    assert result.delay_error_m < 1e-9
+    assert result.angle_error_deg < 1e-9
+    assert result.amplitude_error_db < 1e-6
     assert told == [(10, 40), (20, 40), (30, 40), (40, 40)]
 
 
@@ -110,7 +110,7 @@ def test_a_shifted_path_is_wrong(forged: Callable[[Change], Dataset], name: str,
 
 
 def test_a_louder_path_is_measured(forged: Callable[[Change], Dataset]) -> None:
-    """A path that is a decibel too strong shows in the largest deviation."""
+    """A path that is a decibel too strong is wrong, and shows in the largest deviation."""
 
     def amplify(paths: xr.Dataset) -> xr.Dataset:
         for part in ("re", "im"):
@@ -118,8 +118,8 @@ def test_a_louder_path_is_measured(forged: Callable[[Change], Dataset]) -> None:
         return paths
 
     result = verify(forged(amplify))
-    assert result.amplitude_error_db == pytest.approx(1.0, abs=0.05)
-    assert result.amplitude_over == 1
+    assert result.amplitude_error_db == pytest.approx(1.0, abs=1e-6)
+    assert (result.wrong, result.named[0]["fault"]) == (1, "wrong")
 
 
 def test_damage_is_an_error(sharded: Dataset, tmp_path: Path) -> None:
