@@ -174,8 +174,8 @@ class Room:
         if single.any():
             through(single, feature[single] - 1, self._anchor[row[single], anchor[single]])
         by_anchor = _vectors(-by_source)
-        for k in range(layout.anchors):
-            jacobian[:, k, :, layout.anchor_xy(k)] = by_anchor[:, k]
+        for j in range(layout.anchors):
+            jacobian[:, j, :, layout.anchor_xy(j)] = by_anchor[:, j]
         return jacobian
 
     def possible(self) -> NDArray[np.bool_]:

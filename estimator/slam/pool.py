@@ -38,7 +38,11 @@ class Pool:
     @classmethod
     def of(cls, states: Sequence[GaussianState]) -> Pool:
         """The rows of states with one layout."""
-        rows = [state.rows for state in states]
+        return cls.joined([state.rows for state in states])
+
+    @classmethod
+    def joined(cls, rows: Sequence[Rows]) -> Pool:
+        """The rows of runs with one layout."""
         count = np.array([len(each) for each in rows])
         if len(rows) == 1:
             return cls(rows[0], count)
@@ -47,11 +51,9 @@ class Pool:
             count,
         )
 
-    @classmethod
-    def of_best(cls, states: Sequence[GaussianState]) -> Pool:
-        """The likeliest row of each state."""
-        pool = cls.of(states)
-        return cls(pool.rows.take(pool.best()), np.ones_like(pool.count))
+    def take(self, index: NDArray[np.int64]) -> Pool:
+        """The rows at ``index``, which keeps the runs in their order, at least one of each."""
+        return Pool(self.rows.take(index), np.bincount(self.run[index], minlength=len(self.count)))
 
     @property
     def begin(self) -> NDArray[np.int64]:
@@ -62,6 +64,11 @@ class Pool:
     def run(self) -> NDArray[np.int64]:
         """The run (R,) that each row belongs to."""
         return np.repeat(np.arange(len(self.count)), self.count)
+
+    @property
+    def rank(self) -> NDArray[np.int64]:
+        """Place (R,) of each row in its run, from 0."""
+        return np.arange(len(self.rows)) - self.begin[self.run]
 
     def apart(self) -> list[Rows]:
         """The rows of each run."""

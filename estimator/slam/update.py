@@ -22,7 +22,7 @@ from estimator.slam.layout import Layout
 from estimator.slam.packing import packed
 from estimator.slam.paths import PathTable
 
-__all__ = ["Correction", "correct", "predicted_variance"]
+__all__ = ["Correction", "correct"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -176,7 +176,8 @@ class _Epoch:
         reach = (_SHIFT * self.config.gate_sigma) ** 2 * (
             near.spread[..., None] + self.variance[:, :, None, :]
         )
-        return near.real & np.any(free[:, :, None, :] & (near.innovation**2 < reach), axis=-1)
+        close = np.any(free[:, :, None, :] & (near.innovation**2 < reach), axis=-1)
+        return np.asarray(near.real & close)
 
 
 def _take(
@@ -413,10 +414,3 @@ def _split(
     shares = np.zeros(len(parent))
     shares[new] = np.concatenate(log_share)
     return parent, new, np.concatenate(decided), shares
-
-
-def predicted_variance(prediction: Prediction, covariance: Array) -> Array:
-    """Variance (R, K, F) of the predicted lengths that is due to the state."""
-    rows, anchors, features, size = prediction.jacobian.shape
-    flat = prediction.jacobian.reshape(rows, anchors * features, size)
-    return np.asarray(np.sum((flat @ covariance) * flat, axis=-1).reshape(rows, anchors, features))
