@@ -21,6 +21,7 @@ from estimator.geometry import segments_cross
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import wall_side
 from estimator.slam.packing import packed
+from estimator.slam.pool import pending_of
 from estimator.slam.state import GaussianState
 from estimator.slam.virtual_anchors import vrp_by_image, vrp_of_image
 
@@ -78,7 +79,7 @@ def may_bear(states: Sequence[GaussianState], config: GaussianConfig) -> NDArray
     others: by the triangle inequality the length of a path over a wall changes by no more than the
     agent moves. Of clutter few are so near.
     """
-    idle = np.array([state.slots.pending.size == 0 for state in states])
+    idle = ~pending_of(states)
     loose = [state.loose for state in states]
     run = np.repeat(np.arange(len(states)), [len(each) for each in loose])
     points = np.concatenate(loose)

@@ -28,7 +28,7 @@ from estimator.slam.locate import locate_anchors, may_locate
 from estimator.slam.memory import clutter_density, remember, widen_spans
 from estimator.slam.motion import predict_motion
 from estimator.slam.paths import PathTable, pool_paths
-from estimator.slam.pool import Pool, active_of
+from estimator.slam.pool import Pool, active_of, pending_of
 from estimator.slam.slots import judge, open_slot
 from estimator.slam.state import GaussianState, Rows, log_sum_exp
 from estimator.slam.sweeps import take_sweep
@@ -180,9 +180,10 @@ def _step_alike(
         every = len(members) == len(states)
         group = [states[i] for i in members]
         pool = tidy_pool(_pooled(group, corrected if every else [], told.pool), config)
-        for i, state, rows in zip(members, group, pool.apart(), strict=True):
+        pending = pending_of(group).tolist()
+        for i, state, rows, waits in zip(members, group, pool.apart(), pending, strict=True):
             tidied = replace(state, rows=rows)
-            states[i] = judge(tidied, config) if state.slots.pending.size else tidied
+            states[i] = judge(tidied, config) if waits else tidied
     return states
 
 

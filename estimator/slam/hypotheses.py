@@ -34,7 +34,7 @@ def tidy(rows: Rows, config: GaussianConfig) -> Rows:
 def tidy_pool(pool: Pool, config: GaussianConfig) -> Pool:
     """:func:`tidy` of each run of a pool."""
     pool, most = _ordered(pool, config), config.max_hypotheses
-    needy = _with_alike(pool)
+    needy = _with_alike(pool) if pool.count.max() > 1 else np.empty(0, dtype=np.int64)
     if needy.size:
         parts = pool.apart()
         for i in needy.tolist():
@@ -48,6 +48,8 @@ def tidy_pool(pool: Pool, config: GaussianConfig) -> Pool:
 
 def _ordered(pool: Pool, config: GaussianConfig) -> Pool:
     """The rows of each run, likeliest first, the unlikely dropped."""
+    if pool.count.max() == 1:
+        return pool.take(np.arange(len(pool.rows)))
     weight, run = pool.rows.log_weight, pool.run
     order = np.lexsort((-weight, run))
     least = np.maximum.reduceat(weight, pool.begin) - config.prune_nats

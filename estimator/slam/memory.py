@@ -111,8 +111,8 @@ def remember(
     pool = Pool(pool.rows.take(best), np.ones(len(states), dtype=np.int64))
     mean, covariance = pool.rows.mean, pool.rows.covariance
     std = np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1]))
-    near = _beside_known(pool, active_of(pool, states, layout), paths, layout, config)
-    taken = pool.rows.located[..., None] & (near | (explained > 0.3))
+    taken = pool.rows.located[..., None] & (explained > 0.3)
+    taken |= _beside_known(pool, active_of(pool, states, layout), paths, paths.valid & ~taken, layout, config)
     flood = np.sum(paths.valid, axis=2) > _FLOOD
     run, k, j = np.nonzero(paths.valid & ~flood[..., None])
     now = np.array([state.epoch for state in states])
@@ -136,16 +136,25 @@ def remember(
 
 
 def _beside_known(
-    pool: Pool, active: NDArray[np.bool_], paths: PathTable, layout: Layout, config: GaussianConfig
+    pool: Pool,
+    active: NDArray[np.bool_],
+    paths: PathTable,
+    asked: NDArray[np.bool_],
+    layout: Layout,
+    config: GaussianConfig,
 ) -> NDArray[np.bool_]:
-    """Paths (B, K, M) that lie close to where a feature of a run's row could be heard."""
+    """Which of the paths ``asked`` (B, K, M) lie close to where a feature of a run's row could be heard."""
     prediction = predict_paths(pool.rows.mean, layout)
+    beside = config.pair_radius_m if layout.shared else 2.0 * config.range_std_m
     gap = np.abs(paths.length_m[:, :, None, :] - prediction.length_m[..., None])  # (B, K, F, M)
-    may = active & prediction.possible
-    feature, real = packed(may & np.any((gap < _FARTHEST_M) & paths.valid[:, :, None, :], axis=-1))
+    may = (gap < _FARTHEST_M) & asked[:, :, None, :] & (active & prediction.possible)[..., None]
+    sure = np.any(may & (gap < beside), axis=2)
+    doubt = np.any(may & ~sure[:, :, None, :], axis=-1)
+    if not doubt.any():
+        return np.asarray(sure)
+    feature, real = packed(doubt)
     jacobian = prediction.derivatives(feature).reshape(len(feature), -1, layout.size)
     spread = np.sum((jacobian @ pool.rows.covariance) * jacobian, axis=-1).reshape(feature.shape)
-    beside = config.pair_radius_m if layout.shared else 2.0 * config.range_std_m
     radius = np.where(real, np.minimum(beside + 2.0 * np.sqrt(spread), _FARTHEST_M), 0.0)
     gap = np.take_along_axis(gap, feature[..., None], axis=2)
-    return np.asarray(np.any(gap < radius[..., None], axis=2))
+    return np.asarray(sure | (asked & np.any(gap < radius[..., None], axis=2)))
