@@ -22,6 +22,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         raise pytest.UsageError("expected a docstring in every test, missing in:\n  " + "\n  ".join(mute))
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print what long tests measured (``record_property``), beside whether it sufficed."""
+    reports = [*terminalreporter.getreports("passed"), *terminalreporter.getreports("failed")]
+    told = [report for report in reports if report.when == "call" and report.user_properties]
+    if told:
+        terminalreporter.section("measured")
+    for report in told:
+        terminalreporter.line(report.nodeid)
+        for name, value in report.user_properties:
+            terminalreporter.line(f"    {name}: {value}")
+
+
 @dataclass(frozen=True)
 class Run:
     """What a command printed and how it ended."""

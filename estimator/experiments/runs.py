@@ -36,7 +36,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _JUDGE = EvaluationConfig()
-_TOGETHER = 10
+_TOGETHER = 25
 _KNOWN_M2 = 1e-12  # variance of a position that is known by definition
 
 
@@ -118,7 +118,7 @@ def perform(run: Run) -> Score:
 
 
 def batches(runs: Sequence[Run]) -> list[tuple[Run, ...]]:
-    """The runs in their order, ten of one case with the ``gaussian`` engine together.
+    """The runs in their order, twenty-five of one case with the ``gaussian`` engine together.
 
     However many processes share them, so that results are the same bits.
     """
