@@ -24,7 +24,7 @@ from estimator.slam.config import GaussianConfig
 from estimator.slam.hindsight import look_back
 from estimator.slam.hypotheses import moments, tidy
 from estimator.slam.locate import locate_anchors
-from estimator.slam.memory import clutter_density, remember, widen_spans
+from estimator.slam.memory import clutter_density, remember, widen_spans, widen_stretches
 from estimator.slam.motion import predict_motion
 from estimator.slam.paths import PathTable, pool_paths, stack_paths
 from estimator.slam.pool import Pool, active_of
@@ -215,14 +215,18 @@ def _correct(
     again = np.where(expected[best] > _EXPECTED, done.heard[best], 0.0)
     spans = np.array([state.slots.span_m for state in states])
     spans = widen_spans(spans, rows.mean[best], again, layout)
+    stretches = np.array([state.slots.heard_from_m for state in states])
+    stretches = widen_stretches(stretches, rows.mean[best], again, layout)
     after = [
         replace(
             state,
             rows=own,
             log_evidence=state.log_evidence + float(gained),
-            slots=replace(state.slots, span_m=span),
+            slots=replace(state.slots, span_m=span, heard_from_m=stretch),
         )
-        for state, own, gained, span in zip(states, pool.apart(), evidence, spans, strict=True)
+        for state, own, gained, span, stretch in zip(
+            states, pool.apart(), evidence, spans, stretches, strict=True
+        )
     ]
     shares = done.explained[best]
     return after, [each[:, : t.length_m.shape[1]] for each, t in zip(shares, tables, strict=True)]

@@ -105,7 +105,14 @@ def start(
         support=np.zeros((1, count), dtype=np.int64),
     )
     nobody = np.full(count, -1)
-    slots = Slots(np.arange(count), nobody, np.ones(count, dtype=bool), np.zeros((count, 2)), nobody.copy())
+    slots = Slots(
+        np.arange(count),
+        nobody,
+        np.ones(count, dtype=bool),
+        np.zeros((count, 2)),
+        nobody.copy(),
+        np.full((count, layout.anchors, 2, 2), np.nan),
+    )
     return GaussianState(
         anchor_names=tuple(anchor_names),
         carrier_hz=float(carrier_hz),

@@ -23,7 +23,7 @@ __all__ = [
     "save_state",
 ]
 
-FORMAT = "hapslam-gaussian-state/2"
+FORMAT = "hapslam-gaussian-state/3"
 NOWHERE_M = 1e4  # coordinates of unknown anchors and of the VRPs of empty slots
 
 
@@ -107,6 +107,9 @@ class Slots:
         the foot of RP, metres; empty is (inf, -inf).
     owner : ndarray of int64, shape (L,)
         The anchor whose virtual anchor the slot holds; -1 for a wall, common to all.
+    heard_from_m : ndarray, shape (L, K, 2, 2)
+        Where the agent was when it first and when it last heard each anchor over the wall, gauge frame,
+        metres; NaN before.
     """
 
     wall_id: NDArray[np.int64]
@@ -114,6 +117,7 @@ class Slots:
     confirmed: NDArray[np.bool_]
     span_m: NDArray[np.float64]
     owner: NDArray[np.int64]
+    heard_from_m: NDArray[np.float64]
 
     @property
     def pending(self) -> NDArray[np.int64]:
