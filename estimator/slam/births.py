@@ -68,7 +68,7 @@ class Bank:
     log_weight: Array
 
 
-def find_line(loose: Array, now: int, config: GaussianConfig) -> Line | None:
+def find_line(loose: Array, now: int, limit_db: Array, config: GaussianConfig) -> Line | None:
     """The line with most support among recent unexplained paths, or None.
 
     Parameters
@@ -77,11 +77,14 @@ def find_line(loose: Array, now: int, config: GaussianConfig) -> Line | None:
         As in :class:`estimator.slam.state.GaussianState`.
     now : int
         Present epoch; the line must reach the last two epochs.
+    limit_db : ndarray, shape (K,)
+        Loss beyond free space of each anchor's paths from which they start no wall
+        (:func:`estimator.slam.levels.loss_limits`).
     config : GaussianConfig
-        ``birth_window``, ``birth_support`` and ``birth_excess_loss_db``.
+        ``birth_window`` and ``birth_support``.
     """
     recent = loose[loose[:, 0] > now - config.birth_window]
-    strong = ~(recent[:, 4] >= config.birth_excess_loss_db)  # unknown powers pass
+    strong = ~(recent[:, 4] >= limit_db[recent[:, 1].astype(np.int64)])  # unknown powers pass
     recent = recent[strong]
     best: Line | None = None
     for anchor in np.unique(recent[:, 1]):

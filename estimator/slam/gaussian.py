@@ -23,6 +23,7 @@ from estimator.slam.births import find_line, wall_bank
 from estimator.slam.config import GaussianConfig
 from estimator.slam.hindsight import look_back
 from estimator.slam.hypotheses import moments, tidy
+from estimator.slam.levels import learn_levels, loss_limits
 from estimator.slam.locate import locate_anchors
 from estimator.slam.memory import clutter_density, remember, widen_spans, widen_stretches
 from estimator.slam.motion import predict_motion
@@ -234,14 +235,16 @@ def _correct(
 
 def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:
     """Start a wall where recent unexplained paths ask for one; one wall at a time."""
+    state = learn_levels(state, config)
     if state.slots.pending.size:
         return state
-    line = find_line(state.loose, state.epoch, config)
+    limit = loss_limits(state, config)
+    line = find_line(state.loose, state.epoch, limit, config)
     if line is None or not _settled(state, line.anchor):
         return state
     past = look_back(state, config)
     state = past.state
-    line = find_line(state.loose, state.epoch, config)
+    line = find_line(state.loose, state.epoch, limit, config)
     if line is None or not _settled(state, line.anchor):
         return state
     rows, best = state.rows, state.rows.best

@@ -72,7 +72,7 @@ def widen_spans(span_m: Array, mean: Array, heard: Array, layout: Layout) -> Arr
 
 
 def widen_stretches(heard_from_m: Array, mean: Array, heard: Array, layout: Layout) -> Array:
-    """Where the agents of runs first and last heard their walls, after the bounces that their best rows heard.
+    """Where the agents of runs first and last heard their walls, after what their best rows heard.
 
     Parameters
     ----------

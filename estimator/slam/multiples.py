@@ -40,7 +40,8 @@ def _families(walls: int) -> NDArray[np.bool_]:
     """Which sequences of all orders are the same walls in another order, (S, families)."""
     walls_of = [tuple(sorted(row)) for order in _ORDERS for row in _sequences(walls, order).tolist()]
     kinds = list(dict.fromkeys(walls_of))
-    return np.array([[own == kind for kind in kinds] for own in walls_of], dtype=bool).reshape(-1, len(kinds))
+    same = [[own == kind for kind in kinds] for own in walls_of]
+    return np.array(same, dtype=bool).reshape(len(walls_of), len(kinds))
 
 
 def multiple_lengths(agent: Array, device: Array, walls: Array) -> Array:

@@ -18,6 +18,7 @@ from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
 from estimator.slam.config import GaussianConfig
 from estimator.slam.layout import Layout
+from estimator.slam.levels import first_levels
 from estimator.slam.slots import fresh_visibility
 from estimator.slam.state import NOWHERE_M, GaussianState, Rows, Slots
 
@@ -126,6 +127,7 @@ def start(
         slots=slots,
         trail=np.empty((0, 4)),
         heard=np.empty((0, 6)),
+        levels_db=first_levels(len(anchor_names), config),
     )
 
 

@@ -160,6 +160,9 @@ class GaussianState:
     heard : ndarray, shape (N, 6)
         Recent paths: epoch, anchor, length, its standard deviation, loss in excess of
         free space in dB (NaN if powers are unknown), 1 if nothing explained it or else 0.
+    levels_db : ndarray, shape (K, 2, 2)
+        Mean and variance of each anchor's loss beyond free space: in line of sight (not zero where its
+        gain is not known), and beyond that in a bounce at normal incidence (:mod:`estimator.slam.levels`).
     """
 
     anchor_names: tuple[str, ...]
@@ -174,6 +177,7 @@ class GaussianState:
     slots: Slots
     trail: NDArray[np.float64]
     heard: NDArray[np.float64]
+    levels_db: NDArray[np.float64]
 
     @property
     def layout(self) -> Layout:
@@ -219,7 +223,7 @@ _SCALARS = ("carrier_hz", "bearing_rad", "epoch", "time_s", "log_evidence", "nex
 def save_state(state: GaussianState) -> bytes:
     """The state as bytes (an npz archive without pickles); equal states give equal bytes."""
     columns = {name: np.asarray(getattr(state, name)) for name in _SCALARS}
-    columns |= {name: getattr(state, name) for name in ("trail", "heard")}
+    columns |= {name: getattr(state, name) for name in ("trail", "heard", "levels_db")}
     columns["anchor_names"] = np.array(state.anchor_names)
     columns |= {f"rows.{entry.name}": getattr(state.rows, entry.name) for entry in fields(Rows)}
     columns |= {f"slots.{entry.name}": getattr(state.slots, entry.name) for entry in fields(Slots)}
@@ -248,6 +252,7 @@ def load_state(data: bytes) -> GaussianState:
             anchor_names=tuple(str(name) for name in columns["anchor_names"]),
             trail=columns["trail"],
             heard=columns["heard"],
+            levels_db=columns["levels_db"],
             carrier_hz=float(columns["carrier_hz"]),
             bearing_rad=float(columns["bearing_rad"]),
             epoch=int(columns["epoch"]),

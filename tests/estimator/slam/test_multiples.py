@@ -34,12 +34,14 @@ def shortest(agent, walls):
 
 
 def test_lengths_of_double_and_triple_bounces_are_shortest_ways():
-    """The image of an image of an image is as far as light goes; one mirror in the wrong order is metres off."""
+    """The image of an image of an image is as far as light goes; a wrong order of mirrors is metres off."""
     for walls in (ROOM[[0, 2]], ROOM[[1, 3]]):
         lengths = multiple_lengths(AGENT, DEVICE, walls)
         assert lengths.shape == (2, 4)  # over (a, b), (b, a), (a, b, a), (b, a, b)
         for agent, own in zip(AGENT, lengths, strict=True):
-            flat = min(shortest(agent, walls), shortest(agent, walls[::-1]))  # the other way leads to the corner
+            flat = min(
+                shortest(agent, walls), shortest(agent, walls[::-1])
+            )  # the other way leads to the corner
             both = np.sqrt(flat**2 + DEVICE[2]) + DEVICE[3]
             assert own[np.isfinite(own)] == pytest.approx(both, abs=1e-4)
             assert np.isfinite(own).sum() == 1  # of the two orders, one is possible; no beam bounces a, b, a
@@ -89,14 +91,14 @@ def test_a_wall_that_bounces_over_others_explain_goes():
 
 
 def test_a_wall_that_another_anchor_heard_stays():
-    """No two anchors have double bounces as long as single ones off the same wall: what both hear is there."""
+    """Double bounces of two anchors are never as long as single ones off one wall: what both hear is it."""
     state, slot = deceived(also=(1,))
     assert redundant_walls(state, CONFIG).size == 0
     assert judge(state, CONFIG).slots.wall_id[slot] == 4
 
 
 def test_the_wall_behind_the_deception_stays():
-    """What a true wall explains fits a bounce over the deceiving wall and another, but no beam can take it."""
+    """What a true wall explains fits bounces over the deceiving wall and another, but no beam takes them."""
     state, slot = deceived()
     state.slots.born[2], state.slots.heard_from_m[2] = 30, state.slots.heard_from_m[slot]  # found on the way
     state.slots.heard_from_m[2, 1] = np.nan
