@@ -129,7 +129,7 @@ class GaussianConfig:
     birth_window: int = 18
     birth_support: int = 10
     birth_spacing_rad: float = float(np.deg2rad(1.5))
-    birth_margin_db: float = 1.2
+    birth_margin_db: float = 1.5
     bounce_loss_db: float = 9.0
     bounce_loss_std_db: float = 3.0
     gain_offset_std_db: float = 0.0

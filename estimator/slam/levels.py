@@ -78,7 +78,7 @@ def learn_levels(state: GaussianState, config: GaussianConfig) -> GaussianState:
         source = np.concatenate([anchor[None], reflect(anchor, walls)])
         offset = agent[:, None] - source
         flat = np.linalg.norm(offset, axis=-1)  # (N, 1 + L)
-        gap = np.abs(heard[:, 2, None] - np.sqrt(flat**2 + height2) - bias)
+        gap = np.abs(heard[:, 2, None] - np.sqrt(np.maximum(flat**2 + height2, 1e-6)) - bias)
         near = gap < 3.0 * np.maximum(heard[:, 3], config.range_std_m)[:, None]
         levels[k, 0] = _updated(levels[k, 0], heard[near[:, 0], 4], 0.0)
         if not levels[k, 0, 1] < _KNOWN_DB**2:

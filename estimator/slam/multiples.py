@@ -44,6 +44,12 @@ def _families(walls: int) -> NDArray[np.bool_]:
     return np.array(same, dtype=bool).reshape(len(walls_of), len(kinds))
 
 
+def _length(offset: Array, device: Array) -> Array:
+    """Path lengths (...) of horizontal offsets (..., 2) from an anchor in the state vector."""
+    square = np.sum(offset * offset, axis=-1) + device[2]
+    return np.asarray(np.sqrt(np.maximum(square, 1e-6)) + device[3])
+
+
 def multiple_lengths(agent: Array, device: Array, walls: Array) -> Array:
     """Lengths of all paths over two and three walls.
 
@@ -67,10 +73,9 @@ def multiple_lengths(agent: Array, device: Array, walls: Array) -> Array:
         image = [np.broadcast_to(device[:2], (len(sequence), 2))]
         for bounce in range(order):
             image.append(reflect(image[-1], sequence[:, bounce]))
-        flat = np.linalg.norm(agent[:, None] - image[-1], axis=-1)
-        length = np.sqrt(flat**2 + device[2]) + device[3]
-        point = np.broadcast_to(agent[:, None], (*flat.shape, 2))
-        possible = np.ones(flat.shape, dtype=bool)
+        length = _length(agent[:, None] - image[-1], device)
+        point = np.broadcast_to(agent[:, None], (*length.shape, 2))
+        possible = np.ones(length.shape, dtype=bool)
         for bounce in reversed(range(order)):  # from the agent back to the anchor
             wall, source = sequence[:, bounce], image[bounce + 1]
             side, other = wall_side(point, wall), wall_side(source, wall)
@@ -117,8 +122,7 @@ def _explained(agent: Array, device: Array, wall: Array, others: Array, config: 
 
     In a right corner the order of the bounces changes along the way, and the length does not tell it.
     """
-    flat = np.linalg.norm(agent - reflect(device[:2], wall), axis=1)
-    own = np.sqrt(flat**2 + device[2]) + device[3]
+    own = _length(agent - reflect(device[:2], wall), device)
     gap = np.abs(multiple_lengths(agent, device, others) - own[:, None])
     families = (gap < config.pair_radius_m) @ _families(len(others))
     return bool(np.any(np.all(families, axis=0)))
