@@ -16,7 +16,7 @@ __all__ = ["close_slot", "fresh_visibility", "judge", "open_slot"]
 
 Array = NDArray[np.float64]
 _PATIENCE = 10.0  # times the pending epochs: an agent that stands still
-_RECHECK = 4  # epochs between doubts of the walls found on the way
+_RECHECK = 8  # epochs between doubts of the walls found on the way
 _FRESH = (0.9, 0.6, 0.1)  # prior visibility of line of sight, wall and pair
 
 

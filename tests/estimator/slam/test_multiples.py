@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from estimator.measurements import GaussianVrp
-from estimator.slam import GaussianConfig
+from estimator.slam import GaussianConfig, run_slam
 from estimator.slam.features import reflect
 from estimator.slam.multiples import multiple_lengths, redundant_walls
 from estimator.slam.slots import judge, open_slot
@@ -110,3 +110,14 @@ def test_walls_of_the_first_sweep_are_not_doubted():
     state, slot = deceived()
     state.slots.born[slot] = -1
     assert redundant_walls(state, CONFIG).size == 0
+
+
+def test_a_room_full_of_double_bounces_holds_no_wall_of_them(room):
+    """Without powers, a double bounce over a wall yet to be found becomes a wall; with that found, it goes."""
+    measured = room.measure(1, 95, order=2, range_std_m=0.03, clutter_mean=0.5)
+    result = run_slam(measured)
+    nearest = np.linalg.norm(result.wall_mean_m[:, :, None] - room.vrps, axis=-1).min(axis=-1)
+    false = result.wall_valid & (nearest > 4.0)
+    assert false.any()
+    assert not false[-1].any()
+    assert result.wall_valid[-1].sum() == 5
