@@ -28,18 +28,17 @@ UNKNOWN_GAIN_DB = (17.0, -9.0)  # of the two anchors
 def of_material(name: str) -> FloorPlan:
     """The L-shaped room, its walls of another material."""
     plan = load_floorplan("l-room")
-    return plan.model_copy(
-        update={"walls": [wall.model_copy(update={"material": name}) for wall in plan.walls]}
-    )
+    walls = tuple(wall.model_copy(update={"material": name}) for wall in plan.walls)
+    return plan.model_copy(update={"walls": walls})
 
 
 def with_anchors(name: str) -> FloorPlan:
     """The L-shaped room with its two anchors elsewhere."""
     plan = load_floorplan("l-room")
-    moved = [
+    moved = tuple(
         anchor.model_copy(update={"position_m": (*place, anchor.position_m[2])})
         for anchor, place in zip(plan.anchors, OTHER_ANCHORS[name], strict=True)
-    ]
+    )
     return plan.model_copy(update={"anchors": moved})
 
 

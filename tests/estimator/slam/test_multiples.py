@@ -113,7 +113,7 @@ def test_walls_of_the_first_sweep_are_not_doubted():
 
 
 def test_a_room_full_of_double_bounces_holds_no_wall_of_them(room):
-    """Without powers, a double bounce over a wall yet to be found becomes a wall; with that found, it goes."""
+    """Without powers, a double bounce over an unknown wall is taken for a wall; with that found, it goes."""
     measured = room.measure(1, 95, order=2, range_std_m=0.03, clutter_mean=0.5)
     result = run_slam(measured)
     nearest = np.linalg.norm(result.wall_mean_m[:, :, None] - room.vrps, axis=-1).min(axis=-1)
