@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from estimator.geometry import segments_cross
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import wall_side
+from estimator.slam.levels import loss_limits
 from estimator.slam.packing import packed
 from estimator.slam.pool import pending_of
 from estimator.slam.state import GaussianState
@@ -84,8 +85,11 @@ def may_bear(states: Sequence[GaussianState], config: GaussianConfig) -> NDArray
     run = np.repeat(np.arange(len(states)), [len(each) for each in loose])
     points = np.concatenate(loose)
     now = np.array([state.epoch for state in states])
-    use = (points[:, 0] > now[run] - config.birth_window) & ~(points[:, 4] >= config.birth_excess_loss_db)
-    points, run = points[use & idle[run]], run[use & idle[run]]
+    use = idle[run] & (points[:, 0] > now[run] - config.birth_window)
+    if np.isfinite(points[:, 4]).any():
+        limit = np.array([loss_limits(state, config) for state in states])
+        use &= ~(points[:, 4] >= limit[run, points[:, 1].astype(np.int64)])
+    points, run = points[use], run[use]
     # the agent at the epoch of each path: the trails of all runs, one after the other
     trails = [state.trail for state in states]
     epoch = np.concatenate([trail[:, 0] - trail[0, 0] for trail in trails])
@@ -110,7 +114,7 @@ def may_bear(states: Sequence[GaussianState], config: GaussianConfig) -> NDArray
     return np.asarray(idle & np.any(company.sum(axis=-1) >= config.birth_support, axis=-1))
 
 
-def find_line(loose: Array, now: int, config: GaussianConfig) -> Line | None:
+def find_line(loose: Array, now: int, limit_db: Array, config: GaussianConfig) -> Line | None:
     """The line with most support among recent unexplained paths, or None.
 
     Parameters
@@ -119,11 +123,14 @@ def find_line(loose: Array, now: int, config: GaussianConfig) -> Line | None:
         As in :class:`estimator.slam.state.GaussianState`.
     now : int
         Present epoch; the line must reach the last two epochs.
+    limit_db : ndarray, shape (K,)
+        Loss beyond free space of each anchor's paths from which they start no wall
+        (:func:`estimator.slam.levels.loss_limits`).
     config : GaussianConfig
-        ``birth_window``, ``birth_support`` and ``birth_excess_loss_db``.
+        ``birth_window`` and ``birth_support``.
     """
     recent = loose[loose[:, 0] > now - config.birth_window]
-    strong = ~(recent[:, 4] >= config.birth_excess_loss_db)  # unknown powers pass
+    strong = ~(recent[:, 4] >= limit_db[recent[:, 1].astype(np.int64)])  # unknown powers pass
     recent = recent[strong]
     best: Line | None = None
     for anchor in np.unique(recent[:, 1]):

@@ -24,12 +24,13 @@ from estimator.slam.config import GaussianConfig
 from estimator.slam.hindsight import look_back
 from estimator.slam.hypotheses import moments, tidy_pool
 from estimator.slam.layout import Layout
+from estimator.slam.levels import learn_levels, loss_limits
 from estimator.slam.locate import locate_anchors, may_locate
-from estimator.slam.memory import clutter_density, remember, widen_spans
+from estimator.slam.memory import clutter_density, remember, widen_spans, widen_stretches
 from estimator.slam.motion import predict_motion
 from estimator.slam.paths import PathTable, pool_paths
-from estimator.slam.pool import Pool, active_of, pending_of
-from estimator.slam.slots import judge, open_slot
+from estimator.slam.pool import Pool, active_of
+from estimator.slam.slots import judge, may_judge, open_slot
 from estimator.slam.state import GaussianState, Rows, log_sum_exp
 from estimator.slam.sweeps import take_sweep
 from estimator.slam.update import correct
@@ -155,10 +156,16 @@ def _step_alike(
             time_s=epoch.time_s,
             rows=rows,
             log_evidence=state.log_evidence + gained,
-            slots=replace(state.slots, span_m=span),
+            slots=replace(state.slots, span_m=span, heard_from_m=stretch),
         )
-        for state, epoch, rows, gained, span in zip(
-            states, epochs, told.pool.apart(), told.log_evidence.tolist(), told.span_m, strict=True
+        for state, epoch, rows, gained, span, stretch in zip(
+            states,
+            epochs,
+            told.pool.apart(),
+            told.log_evidence.tolist(),
+            told.span_m,
+            told.heard_from_m,
+            strict=True,
         )
     ]
     corrected = list(states)
@@ -169,6 +176,7 @@ def _step_alike(
             states[i] = locate_anchors(states[i], paths.of_run(i), config)
     states = remember(states, _pooled(states, corrected, told.pool), paths, told.explained, config)
     if states[0].shared:
+        states = [learn_levels(state, config) for state in states]
         for i in np.flatnonzero(may_bear(states, config)).tolist():
             states[i] = _bear(states[i], config)
     else:
@@ -180,10 +188,10 @@ def _step_alike(
         every = len(members) == len(states)
         group = [states[i] for i in members]
         pool = tidy_pool(_pooled(group, corrected if every else [], told.pool), config)
-        pending = pending_of(group).tolist()
-        for i, state, rows, waits in zip(members, group, pool.apart(), pending, strict=True):
+        asked = may_judge(group).tolist()
+        for i, state, rows, ask in zip(members, group, pool.apart(), asked, strict=True):
             tidied = replace(state, rows=rows)
-            states[i] = judge(tidied, config) if waits else tidied
+            states[i] = judge(tidied, config) if ask else tidied
     return states
 
 
@@ -211,8 +219,8 @@ class _Told:
         The corrected rows.
     log_evidence : ndarray, shape (B,)
         Log evidence of the paths.
-    span_m : ndarray, shape (B, L, 2)
-        Spans of the walls.
+    span_m, heard_from_m : ndarray, shapes (B, L, 2) and (B, L, K, 2, 2)
+        Those of :class:`estimator.slam.state.Slots`.
     explained : ndarray, shape (B, K, M)
         How far the best row of each run explains each path.
     """
@@ -220,6 +228,7 @@ class _Told:
     pool: Pool
     log_evidence: Array
     span_m: Array
+    heard_from_m: Array
     explained: Array
 
 
@@ -227,6 +236,7 @@ def _correct(states: list[GaussianState], pool: Pool, paths: PathTable, config: 
     """Associate and update all rows; those of runs without any anchor wait."""
     layout, rows = states[0].layout, pool.rows
     spans = np.array([state.slots.span_m for state in states])
+    stretches = np.array([state.slots.heard_from_m for state in states])
     ready = np.flatnonzero(np.logical_or.reduceat(rows.located.any(axis=1), pool.begin))
     if ready.size < len(states):
         evidence, explained = np.zeros(len(states)), np.zeros(paths.length_m.shape)
@@ -237,8 +247,9 @@ def _correct(states: list[GaussianState], pool: Pool, paths: PathTable, config: 
             for i, part in zip(ready.tolist(), told.pool.apart(), strict=True):
                 parts[i] = part
             pool = Pool.joined(parts)
-            evidence[ready], spans[ready], explained[ready] = told.log_evidence, told.span_m, told.explained
-        return _Told(pool, evidence, spans, explained)
+            evidence[ready], explained[ready] = told.log_evidence, told.explained
+            spans[ready], stretches[ready] = told.span_m, told.heard_from_m
+        return _Told(pool, evidence, spans, stretches, explained)
     table = paths.turned([-state.bearing_rad for state in states]).of_rows(pool.run)
     clutter = clutter_density(states, config)[pool.run]
     active = active_of(pool, states, layout)
@@ -266,17 +277,24 @@ def _correct(states: list[GaussianState], pool: Pool, paths: PathTable, config: 
     rows.log_weight[...] -= evidence[pool.run]
     best = pool.best()
     again = np.where(expected[best] > _EXPECTED, done.heard[best], 0.0)
-    return _Told(pool, evidence, widen_spans(spans, rows.mean[best], again, layout), done.explained[best])
+    return _Told(
+        pool,
+        evidence,
+        widen_spans(spans, rows.mean[best], again, layout),
+        widen_stretches(stretches, rows.mean[best], again, layout),
+        done.explained[best],
+    )
 
 
 def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:
     """Start a wall where recent unexplained paths ask for one; one wall at a time."""
-    line = find_line(state.loose, state.epoch, config)
+    limit = loss_limits(state, config)
+    line = find_line(state.loose, state.epoch, limit, config)
     if line is None or not _settled(state, line.anchor):
         return state
     past = look_back(state, config)
     state = past.state
-    line = find_line(state.loose, state.epoch, config)
+    line = find_line(state.loose, state.epoch, limit, config)
     if line is None or not _settled(state, line.anchor):
         return state
     rows, best = state.rows, state.rows.best

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths, wall_side
+from estimator.slam.multiples import multiple_lengths
 from estimator.slam.state import GaussianState
 
 __all__ = ["Hindsight", "look_back"]
@@ -63,8 +64,16 @@ def look_back(state: GaussianState, config: GaussianConfig) -> Hindsight:
     gap = np.abs(state.heard[known, 2, None] - prediction.length_m[at, anchor])  # (N, F)
     gap = np.where(active[at, anchor], gap, np.inf)
     radius = config.pair_radius_m + 2.0 * trail[at, 3]
+    near = np.any(gap < radius[:, None], axis=1)
     heard = state.heard.copy()
-    heard[known, 5] = np.where(np.any(gap < radius[:, None], axis=1), 0.0, heard[known, 5])
+    found = np.flatnonzero(state.slots.confirmed & state.rows.present[best])
+    for k in np.flatnonzero(state.rows.located[best]).tolist():
+        walls = mean[0, layout.walls].reshape(-1, 2)[found]
+        multiple = multiple_lengths(trail[:, 1:3], mean[0, layout.anchor(k)], walls)
+        own = anchor == k
+        gap_k = np.abs(heard[known, 2, None][own] - multiple[at[own]])
+        near[own] |= np.any(gap_k < radius[own, None], axis=1)
+    heard[known, 5] = np.where(near, 0.0, heard[known, 5])
 
     first = gap[:, : 1 + layout.slots]  # line of sight and single bounces
     width = 3.0 * np.maximum(state.heard[known, 3], config.range_std_m)

@@ -14,7 +14,7 @@ from estimator.slam.features import wall_side
 __all__ = ["labellings"]
 
 Array = NDArray[np.float64]
-_MOST_LABELLINGS, _KEPT_LABELLINGS = 4096, 6  # tried, and kept, of each candidate place
+_MOST_LABELLINGS, _KEPT_LABELLINGS = 4096, 24  # tried, and kept, of each candidate place
 _ALIKE_M = 3.0  # lengths that the walls' errors may exchange
 
 

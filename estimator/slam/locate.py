@@ -20,6 +20,7 @@ from estimator.slam.features import predict_paths, wall_side
 from estimator.slam.hypotheses import tidy
 from estimator.slam.kalman import kalman
 from estimator.slam.labellings import labellings
+from estimator.slam.levels import known_gains
 from estimator.slam.paths import PathTable
 from estimator.slam.slots import fresh_visibility
 from estimator.slam.state import GaussianState, Rows, log_sum_exp
@@ -222,7 +223,7 @@ def _gather(
         columns[:, 1],
         np.maximum(columns[:, 2], config.range_std_m) ** 2,
         columns[:, 0].astype(np.int64),
-        columns[:, 3],
+        columns[:, 3] - known_gains(state)[k],
     )
     return joined, batch, dict(zip(slots.tolist(), walls, strict=True))
 

@@ -16,7 +16,7 @@ from estimator.slam.paths import PathTable
 from estimator.slam.pool import Pool, active_of
 from estimator.slam.state import GaussianState
 
-__all__ = ["clutter_density", "remember", "widen_spans"]
+__all__ = ["clutter_density", "remember", "widen_spans", "widen_stretches"]
 
 Array = NDArray[np.float64]
 
@@ -81,6 +81,22 @@ def widen_spans(span_m: Array, mean: Array, heard: Array, layout: Layout) -> Arr
         span[..., 0] = np.where(hit, np.minimum(span[..., 0], along), span[..., 0])
         span[..., 1] = np.where(hit, np.maximum(span[..., 1], along), span[..., 1])
     return span
+
+
+def widen_stretches(heard_from_m: Array, mean: Array, heard: Array, layout: Layout) -> Array:
+    """Where the agents of runs first and last heard their walls, after what their best rows heard.
+
+    Parameters
+    ----------
+    heard_from_m : ndarray, shape (B, L, K, 2, 2)
+        First and last places before, NaN if there were none.
+    mean, heard, layout
+        As for :func:`widen_spans`.
+    """
+    hit = np.swapaxes(heard[:, :, 1 : 1 + layout.slots] > 0.5, 1, 2)  # (B, L, K)
+    new = np.isnan(heard_from_m[..., 0]) & hit[..., None]
+    use = np.stack([new[..., 0], hit], axis=-1)[..., None]
+    return np.where(use, mean[:, None, None, None, layout.POSITION], heard_from_m)
 
 
 def remember(

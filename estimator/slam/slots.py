@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +10,15 @@ from numpy.typing import NDArray
 
 from estimator.slam.config import GaussianConfig
 from estimator.slam.layout import Layout
+from estimator.slam.multiples import redundant_walls
+from estimator.slam.pool import pending_of
 from estimator.slam.state import NOWHERE_M, GaussianState, Rows, Slots
 
-__all__ = ["fresh_visibility", "judge", "open_slot"]
+__all__ = ["close_slot", "fresh_visibility", "judge", "may_judge", "open_slot"]
 
 Array = NDArray[np.float64]
 _PATIENCE = 10.0  # times the pending epochs: an agent that stands still
+_RECHECK = 8  # epochs between doubts of the walls found on the way
 _FRESH = (0.9, 0.6, 0.1)  # prior visibility of line of sight, wall and pair
 
 
@@ -50,6 +54,7 @@ def open_slot(state: GaussianState) -> tuple[GaussianState, int]:
         np.append(slots.confirmed, False),
         np.concatenate([slots.span_m, [[np.inf, -np.inf]]]),
         np.append(slots.owner, -1),
+        np.concatenate([slots.heard_from_m, np.full((1, new.anchors, 2, 2), np.nan)]),
     )
     return replace(state, rows=grown, slots=more), old.slots
 
@@ -69,8 +74,19 @@ def _widened(visibility: Array, old: Layout, new: Layout) -> Array:
     return wide
 
 
+def may_judge(states: Sequence[GaussianState]) -> NDArray[np.bool_]:
+    """Which of B runs with one layout :func:`judge` need be asked about."""
+    born = np.array([state.slots.born for state in states])
+    found = np.any((born >= 0) & np.array([state.slots.confirmed for state in states]), axis=1)
+    again = np.array([state.shared and state.epoch % _RECHECK == 0 for state in states])
+    return np.asarray(pending_of(states) | (found & again))
+
+
 def judge(state: GaussianState, config: GaussianConfig) -> GaussianState:
-    """Confirm pending walls that nearly all the weight agrees on; give up those that linger.
+    """Confirm pending walls that nearly all the weight agrees on; give up those that linger or deceived.
+
+    Every few epochs the walls found on the way are looked at again: one goes if bounces over others, found
+    later perhaps, explain all that it explained.
 
     A virtual anchor is there if it is heard, wherever it stands: before the track bends it may be
     itself or its mirror image in the track, and the epochs to come decide.
@@ -85,7 +101,10 @@ def judge(state: GaussianState, config: GaussianConfig) -> GaussianState:
             slots.confirmed[slot] = True
             state = replace(state, slots=slots, rows=rows.keep(alike))
         elif weight[have].sum() < 1e-5 or _overdue(state, int(slot), config):
-            state = _close_slot(state, int(slot))
+            state = close_slot(state, int(slot))
+    if state.shared and state.epoch % _RECHECK == 0:
+        for slot in redundant_walls(state, config):
+            state = close_slot(state, int(slot))
     return state
 
 
@@ -112,7 +131,7 @@ def _agreeing(state: GaussianState, slot: int, config: GaussianConfig) -> NDArra
     return np.asarray(have & (np.linalg.norm(vrp - vrp[best], axis=1) < config.confirm_radius_m))
 
 
-def _close_slot(state: GaussianState, slot: int) -> GaussianState:
+def close_slot(state: GaussianState, slot: int) -> GaussianState:
     """Give a wall up: the rows without it stay; if all have it, it is taken out of them."""
     layout, rows = state.layout, state.rows
     without = ~rows.present[:, slot]
@@ -132,4 +151,5 @@ def _close_slot(state: GaussianState, slot: int) -> GaussianState:
     slots = state.slots.copy()
     slots.wall_id[slot], slots.born[slot], slots.owner[slot] = -1, -1, -1
     slots.span_m[slot] = np.inf, -np.inf
+    slots.heard_from_m[slot] = np.nan
     return replace(state, rows=rows, slots=slots)

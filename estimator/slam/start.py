@@ -18,6 +18,7 @@ from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
 from estimator.slam.config import GaussianConfig
 from estimator.slam.layout import Layout
+from estimator.slam.levels import first_levels
 from estimator.slam.slots import fresh_visibility
 from estimator.slam.state import NOWHERE_M, GaussianState, Rows, Slots
 
@@ -105,7 +106,14 @@ def start(
         support=np.zeros((1, count), dtype=np.int64),
     )
     nobody = np.full(count, -1)
-    slots = Slots(np.arange(count), nobody, np.ones(count, dtype=bool), np.zeros((count, 2)), nobody.copy())
+    slots = Slots(
+        np.arange(count),
+        nobody,
+        np.ones(count, dtype=bool),
+        np.zeros((count, 2)),
+        nobody.copy(),
+        np.full((count, layout.anchors, 2, 2), np.nan),
+    )
     return GaussianState(
         anchor_names=tuple(anchor_names),
         carrier_hz=float(carrier_hz),
@@ -119,6 +127,7 @@ def start(
         slots=slots,
         trail=np.empty((0, 4)),
         heard=np.empty((0, 6)),
+        levels_db=first_levels(len(anchor_names), config),
     )
 
 

@@ -23,7 +23,7 @@ __all__ = [
     "save_state",
 ]
 
-FORMAT = "hapslam-gaussian-state/2"
+FORMAT = "hapslam-gaussian-state/3"
 NOWHERE_M = 1e4  # coordinates of unknown anchors and of the VRPs of empty slots
 
 
@@ -107,6 +107,9 @@ class Slots:
         the foot of RP, metres; empty is (inf, -inf).
     owner : ndarray of int64, shape (L,)
         The anchor whose virtual anchor the slot holds; -1 for a wall, common to all.
+    heard_from_m : ndarray, shape (L, K, 2, 2)
+        Where the agent was when it first and when it last heard each anchor over the wall, gauge frame,
+        metres; NaN before.
     """
 
     wall_id: NDArray[np.int64]
@@ -114,6 +117,7 @@ class Slots:
     confirmed: NDArray[np.bool_]
     span_m: NDArray[np.float64]
     owner: NDArray[np.int64]
+    heard_from_m: NDArray[np.float64]
 
     @property
     def pending(self) -> NDArray[np.int64]:
@@ -156,6 +160,9 @@ class GaussianState:
     heard : ndarray, shape (N, 6)
         Recent paths: epoch, anchor, length, its standard deviation, loss in excess of
         free space in dB (NaN if powers are unknown), 1 if nothing explained it or else 0.
+    levels_db : ndarray, shape (K, 2, 2)
+        Mean and variance of each anchor's loss beyond free space: in line of sight (not zero where its
+        gain is not known), and beyond that in a bounce at normal incidence (:mod:`estimator.slam.levels`).
     """
 
     anchor_names: tuple[str, ...]
@@ -170,6 +177,7 @@ class GaussianState:
     slots: Slots
     trail: NDArray[np.float64]
     heard: NDArray[np.float64]
+    levels_db: NDArray[np.float64]
 
     @property
     def layout(self) -> Layout:
@@ -215,7 +223,7 @@ _SCALARS = ("carrier_hz", "bearing_rad", "epoch", "time_s", "log_evidence", "nex
 def save_state(state: GaussianState) -> bytes:
     """The state as bytes (an npz archive without pickles); equal states give equal bytes."""
     columns = {name: np.asarray(getattr(state, name)) for name in _SCALARS}
-    columns |= {name: getattr(state, name) for name in ("trail", "heard")}
+    columns |= {name: getattr(state, name) for name in ("trail", "heard", "levels_db")}
     columns["anchor_names"] = np.array(state.anchor_names)
     columns |= {f"rows.{entry.name}": getattr(state.rows, entry.name) for entry in fields(Rows)}
     columns |= {f"slots.{entry.name}": getattr(state.slots, entry.name) for entry in fields(Slots)}
@@ -244,6 +252,7 @@ def load_state(data: bytes) -> GaussianState:
             anchor_names=tuple(str(name) for name in columns["anchor_names"]),
             trail=columns["trail"],
             heard=columns["heard"],
+            levels_db=columns["levels_db"],
             carrier_hz=float(columns["carrier_hz"]),
             bearing_rad=float(columns["bearing_rad"]),
             epoch=int(columns["epoch"]),

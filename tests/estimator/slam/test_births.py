@@ -16,6 +16,7 @@ CONFIG = GaussianConfig()
 TRUE = np.array([0.0, 90.0])  # the wall y = 45
 TRACK = np.stack([25.0 + 0.5 * np.arange(12), np.full(12, -2.0)], axis=1)
 NOTHING = np.empty((0, 2))
+ANY = np.array([np.inf])  # limit of losses
 
 
 def bank_of(anchor, legs=None, walls=NOTHING, spans=NOTHING):
@@ -77,9 +78,19 @@ def test_a_line_needs_support():
     points = np.stack(
         [epoch, np.zeros(18), 60.0 - 0.3 * epoch, np.full(18, 0.1), np.full(18, np.nan)], axis=1
     )
-    assert find_line(points[8:], 17, CONFIG).anchor == 0
-    assert find_line(points[9:], 17, CONFIG) is None
+    assert find_line(points[8:], 17, ANY, CONFIG).anchor == 0
+    assert find_line(points[9:], 17, ANY, CONFIG) is None
     scattered = points.copy()
     scattered[:, 2] = np.random.default_rng(1).uniform(0.0, 180.0, 18)
-    assert find_line(scattered, 17, CONFIG) is None
-    assert find_line(points, 17, replace(CONFIG, birth_support=19)) is None
+    assert find_line(scattered, 17, ANY, CONFIG) is None
+    assert find_line(points, 17, ANY, replace(CONFIG, birth_support=19)) is None
+
+
+def test_paths_that_lost_too_much_make_no_line():
+    """A path weaker than any single bounce of its anchor starts no wall; one of unknown power may."""
+    epoch = np.arange(18.0)
+    points = np.stack([epoch, np.ones(18), 60.0 - 0.3 * epoch, np.full(18, 0.1), np.full(18, 9.5)], axis=1)
+    assert find_line(points, 17, np.array([20.0, 9.0]), CONFIG) is None
+    assert find_line(points, 17, np.array([5.0, 10.0]), CONFIG).anchor == 1
+    points[:, 4] = np.nan
+    assert find_line(points, 17, np.array([5.0, 5.0]), CONFIG) is not None
