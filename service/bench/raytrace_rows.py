@@ -40,7 +40,7 @@ def rows(quick: bool) -> Iterator[Row]:
     Parameters
     ----------
     quick : bool
-        Fewer positions: some twenty seconds rather than some minutes and 3 GB of temporary files.
+        Fewer positions: some forty seconds rather than some minutes and 3 GB of temporary files.
     """
     if find_spec("sionna") is None:
         return
