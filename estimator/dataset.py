@@ -47,6 +47,8 @@ FORMAT = "hapslam-dataset"
 VERSION = 1
 MANIFEST = "manifest.json"
 KINDS = ("passive", "echo", "paths", "truth")
+# Units and attributes are those of the Climate and Forecast conventions, which readers look for.
+_CF = "CF-1.11"
 
 
 def require_absent(path: Path) -> None:
@@ -176,7 +178,8 @@ def write_shard(
     if kind not in KINDS:
         raise ValueError(f"kind: expected one of {KINDS}, got {kind!r}")
     file = folder / name
-    write_netcdf(data.assign_attrs(format=f"{FORMAT}/{kind}", version=VERSION), file, replace)
+    data = data.assign_attrs(Conventions=_CF, format=f"{FORMAT}/{kind}", version=VERSION)
+    write_netcdf(data, file, replace)
     return {"file": name, "kind": kind, "bytes": file.stat().st_size, "sha256": _digest(file), **facts}
 
 

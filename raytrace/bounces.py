@@ -67,7 +67,13 @@ def bounce_points(
 
 
 def sharpened(
-    plan: FloorPlan, paths: PathList, positions_m: Array, sources_m: Array, rim_m: float, carrier_hz: float
+    plan: FloorPlan,
+    paths: PathList,
+    positions_m: Array,
+    sources_m: Array,
+    rim_m: float,
+    carrier_hz: float,
+    polarised: bool = False,
 ) -> PathList:
     """Traced paths in double precision, without those that bounce beside their surfaces.
 
@@ -81,17 +87,21 @@ def sharpened(
         By so much, measured across the ray, a bounce may miss its surface.
     carrier_hz : float
         Carrier of the gains, hertz.
+    polarised : bool
+        Compute ``PathList.transfer``, the gains between all polarisations, too.
     """
     paths, points = _on_their_surfaces(plan, paths, positions_m, sources_m, rim_m)
     agent, source = positions_m[paths.epoch], sources_m[paths.anchor]
-    length, amplitude, transfer = np.empty(len(paths)), paths.amplitude.copy(), paths.transfer.copy()
+    length, amplitude = np.empty(len(paths)), np.empty(len(paths), dtype=np.complex128)
+    modes = 2 if polarised else 0
+    transfer = np.empty((len(paths), modes, modes), dtype=np.complex128)
     ends = np.empty((2, len(paths), 3))  # where the path goes from the source, and comes from
     normals = surfaces_of(plan).normal
     for order in np.unique(paths.order):
         mine = np.flatnonzero(paths.order == order)
         vertices = np.concatenate([source[mine, None], points[mine, :order], agent[mine, None]], axis=1)
         walls = paths.walls[mine, :order].astype(np.int64)
-        if transfer.size:
+        if polarised:
             transfer[mine] = specular_transfer(plan, vertices, walls, normals, carrier_hz)
             amplitude[mine] = transfer[mine, 0, 0]
         else:

@@ -10,7 +10,9 @@ across and an interval along, and everything is arithmetic of intervals:
    what is drawn between two faces (the panes of a window) goes with them;
 3. rests of faces no longer than the thickest wall lay behind a junction and vanish,
    longer ones stay as single lines; a centre line goes on where one face goes on;
-4. short lines across the end of a centre line (caps, jambs) vanish.
+4. short lines across the end of a centre line (caps, jambs) vanish;
+5. where lines of two materials lie on one another (a window on a wall, a border of two rooms), the
+   shorter stays and the longer is cut: no beam tells two surfaces at one place apart.
 
 Ends still stop at the faces of the walls they run into; :mod:`raytrace.joins` mends that.
 """
@@ -90,8 +92,9 @@ def collapse(lines: list[Line], thickest_m: float, report: ImportReport) -> list
     kept = [line for line in singles if not _is_cap(line, centres)]
     if len(kept) < len(singles):
         report.collapsed["end of a wall, with its faces"] += len(singles) - len(kept)
+    left = _without_overlaps(centres + kept, report)
     report.collapsed = +report.collapsed
-    return centres + kept
+    return left
 
 
 def _families(lines: list[Line]) -> Iterable[tuple[Array, list[Line]]]:
@@ -209,6 +212,27 @@ def _continued(
                 continue
         joined.append((offset, span, like))
     return joined
+
+
+def _without_overlaps(lines: list[Line], report: ImportReport) -> list[Line]:
+    """Lines of one family and offset cut so that none lies on another; the shorter stays, then the former."""
+    pieces = {id(line): [line] for line in lines}
+    for direction, members in _families(lines):
+        runs: list[_Run] = []
+        for line in sorted(members, key=lambda line: round(line.length_m, 6)):
+            ends = np.array([line.start_m, line.end_m])
+            along = np.sort(ends @ direction)
+            offset = float((ends @ np.array([-direction[1], direction[0]])).mean())
+            run = _Run(offset, (float(along[0]), float(along[1])), line)
+            for other in runs:
+                if abs(other.offset - offset) <= _SAME_PLACE_M:
+                    run.rest = _without(run.rest, other.span)
+            if sum(high - low for low, high in run.rest) < line.length_m - _SAME_PLACE_M:
+                report.collapsed["line cut where another material lies on it"] += 1
+                rest = [span for span in run.rest if span[1] - span[0] >= _SHORTEST_M]
+                pieces[id(line)] = [_line(direction, offset, span, line) for span in rest]
+            runs.append(run)
+    return [piece for line in lines for piece in pieces[id(line)]]
 
 
 def _line(direction: Array, offset: float, span: Interval, like: Line) -> Line:

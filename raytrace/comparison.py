@@ -88,8 +88,10 @@ def compare(plan: FloorPlan, positions_m: NDArray[np.float64], paths: PathList, 
     first : int
         Added to the epochs of named paths.
     """
-    every = image_paths(plan, positions_m, rim_m=-RIM_M).flat()
     owed = image_paths(plan, positions_m, rim_m=RIM_M, leg_m=LEG_M).flat()
+    others = paths.walls[~np.isin(_keys(plan, paths), _keys(plan, owed))]
+    spare = image_paths(plan, positions_m, rim_m=-RIM_M, among=others).flat()
+    every = PathList.concatenate([owed, spare])
     keys = {name: _keys(plan, some) for name, some in (("all", every), ("owed", owed), ("got", paths))}
     lost = owed.select(~np.isin(keys["owed"], keys["got"]))
     _, once = np.unique(keys["got"], return_index=True)

@@ -28,8 +28,11 @@ Array = NDArray[np.float64]
 
 # What meets a surface's rim to within this is taken to meet it.
 _RIM_M = 1e-6
-# Pairs of a position and a sequence of surfaces looked at together: bounds the memory.
-_ROWS = 500_000
+# Pairs of a position and a sequence of surfaces, or of a leg and a surface, looked at together: what is
+# written about them stays in the processor's cache.
+_PAIRS = 60_000
+# By so much more than the rim a bounce may miss its surface until it is looked at closely.
+_SLACK_M = 1e-6
 # Fraction of a leg ignored at either end when it is tested for obstacles: it starts on a surface.
 _TIP = 1e-9
 
@@ -96,6 +99,7 @@ def image_paths(
     anchors_m: ArrayLike | None = None,
     rim_m: float = _RIM_M,
     leg_m: float = 0.0,
+    among: NDArray[np.int16] | None = None,
 ) -> PathSet:
     """All specular paths from every anchor to every position.
 
@@ -116,6 +120,8 @@ def image_paths(
         the ray: along a surface that is grazed it is longer.
     leg_m : float
         Paths with a leg shorter than this are left out: both its ends are at one corner.
+    among : ndarray of int16, shape (n, bounces), optional
+        Only paths that bounce on one of these sequences of surfaces, as ``PathList.walls``.
 
     Returns
     -------
@@ -126,38 +132,60 @@ def image_paths(
     anchors = plan.anchors_m() if anchors_m is None else np.asarray(anchors_m, dtype=np.float64)
     depth = plan.tracing.depth if depth is None else depth
     surfaces = surfaces_of(plan)
-    parts = [
-        _paths_of_order(plan, surfaces, positions, anchor, index, order, max(depth, 1), rim_m, leg_m)
-        for index, anchor in enumerate(anchors)
-        for order in range(depth + 1)
-    ]
+    parts = []
+    for index, anchor in enumerate(anchors):
+        for order in range(depth + 1):
+            sequences = (
+                _sequences(surfaces, anchor, order, rim_m)
+                if among is None
+                else _of_order(among, order, len(surfaces))
+            )
+            images = _images(surfaces, anchor, sequences)
+            found = _visible(surfaces, positions, sequences, images, rim_m, leg_m)
+            parts.append(_path_list(plan, surfaces, index, max(depth, 1), *found))
     return PathSet.build(PathList.concatenate(parts), len(positions), len(anchors))
 
 
-def _paths_of_order(
-    plan: FloorPlan,
+def _visible(
     surfaces: Surfaces,
     positions: Array,
-    anchor: Array,
-    anchor_index: int,
-    order: int,
-    bounces: int,
+    sequences: NDArray[np.int64],
+    images: Array,
     rim_m: float,
     leg_m: float,
-) -> PathList:
-    sequences, images = _sequences(surfaces, anchor, order, rim_m)
-    block = max(1, _ROWS // max(1, len(sequences)))
-    parts = []
-    for first in range(0, len(positions), block):
-        epoch, row, vertices = _unfold(surfaces, positions[first : first + block], sequences, images, rim_m)
-        clear = np.all(np.linalg.norm(np.diff(vertices, axis=1), axis=-1) >= leg_m, axis=1)
-        for leg in range(order + 1):  # what the first leg ends is not asked for the next
-            left = np.flatnonzero(clear)
-            ends = vertices[left, leg : leg + 2]
-            clear[left] = ~blocked(surfaces, ends[:, :1], ends[:, 1:], rim_m)[:, 0]
-        parts.append((epoch[clear] + first, sequences[row[clear]], vertices[clear]))
-    epoch, hit, vertices = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Paths of sequences (q, order) to positions (n, 3) that nothing blocks.
 
+    Returns the position's index, the surfaces (paths, order), and the vertices from anchor to
+    agent (paths, order + 2, 3).
+    """
+    block = max(1, _PAIRS // max(1, len(sequences)))
+    parts = [
+        (row, epoch + first, vertices)
+        for first in range(0, len(positions), block)
+        for epoch, row, vertices in (
+            _unfold(surfaces, positions[first : first + block], sequences, images, rim_m),
+        )
+    ]
+    row, epoch, vertices = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    clear = np.all(np.linalg.norm(np.diff(vertices, axis=1), axis=-1) >= leg_m, axis=1)
+    for leg in range(vertices.shape[1] - 1):  # what the first leg ends is not asked for the next
+        left = np.flatnonzero(clear)
+        clear[left] = ~blocked(surfaces, vertices[left, leg], vertices[left, leg + 1], rim_m)
+    return epoch[clear], sequences[row[clear]], vertices[clear]
+
+
+def _path_list(
+    plan: FloorPlan,
+    surfaces: Surfaces,
+    anchor: int,
+    bounces: int,
+    epoch: NDArray[np.int64],
+    hit: NDArray[np.int64],
+    vertices: Array,
+) -> PathList:
+    """Paths of one order, with columns for some bounces, from what :func:`_visible` found."""
+    order = hit.shape[1]
     length = np.linalg.norm(np.diff(vertices, axis=1), axis=-1).sum(axis=1)
     departure = angles_of(vertices[:, 1] - vertices[:, 0])
     arrival = angles_of(vertices[:, -2] - vertices[:, -1])
@@ -165,7 +193,7 @@ def _paths_of_order(
     walls[:, :order] = hit
     return PathList(
         epoch=epoch,
-        anchor=np.full(len(epoch), anchor_index, dtype=np.int64),
+        anchor=np.full(len(epoch), anchor, dtype=np.int64),
         delay_s=length / SPEED_OF_LIGHT_M_S,
         amplitude=specular_amplitude(plan, vertices, hit, surfaces.normal, plan.radio.carrier_hz),
         departure_azimuth_rad=departure[0],
@@ -179,28 +207,39 @@ def _paths_of_order(
     )
 
 
-def _sequences(
-    surfaces: Surfaces, anchor: Array, order: int, rim_m: float
-) -> tuple[NDArray[np.int64], Array]:
+def _sequences(surfaces: Surfaces, anchor: Array, order: int, rim_m: float) -> NDArray[np.int64]:
     """Sequences of ``order`` bounces that light from the anchor can take, shape (sequences, order).
-
-    Also the anchor and its images after every bounce, (sequences, order + 1, 3).
 
     A surface follows another if some of it lies where the beam goes that this one reflects. Paths
     that miss a surface have no such beam: with a negative rim any surface follows any other.
     """
-    sequences, images = np.zeros((1, 0), dtype=np.int64), anchor[None, None]
+    sequences, image = np.zeros((1, 0), dtype=np.int64), anchor[None]
     for bounce in range(order):
         follows = np.ones((len(sequences), len(surfaces)), dtype=bool)
         if bounce:
             last = sequences[:, -1]
             follows[np.arange(len(sequences)), last] = False
             if rim_m >= 0.0:
-                follows &= _lit(surfaces, images[:, -1], last)
+                follows &= _lit(surfaces, image, last)
         row, wall = np.nonzero(follows)
         sequences = np.column_stack([sequences[row], wall])
-        images = np.concatenate([images[row], mirrored(surfaces, images[row, -1], wall)[:, None]], axis=1)
-    return sequences, images
+        image = mirrored(surfaces, image[row], wall)
+    return sequences
+
+
+def _of_order(walls: NDArray[np.int16], order: int, surfaces: int) -> NDArray[np.int64]:
+    """The different sequences of ``order`` surfaces in ``walls``, shape (sequences, order)."""
+    there = (walls >= 0) & (walls < surfaces)
+    mine = there[:, :order].all(axis=1) & (walls[:, order:] == NO_SURFACE).all(axis=1)
+    return np.unique(walls[mine, :order].astype(np.int64), axis=0)
+
+
+def _images(surfaces: Surfaces, anchor: Array, sequences: NDArray[np.int64]) -> Array:
+    """The anchor and its images after every bounce of sequences (q, order); (q, order + 1, 3)."""
+    images = [np.broadcast_to(anchor, (len(sequences), 3))]
+    for wall in sequences.T:
+        images.append(mirrored(surfaces, images[-1], wall))
+    return np.stack(images, axis=1)
 
 
 def mirrored(surfaces: Surfaces, points: Array, index: NDArray[np.int64]) -> Array:
@@ -239,7 +278,7 @@ def _unfold(
     Returns the position's index, the sequence's, and the vertices from anchor to agent
     (paths, order + 2, 3).
     """
-    epoch, row = _opposite(surfaces, positions, images[:, -1], sequences)
+    epoch, row = _near_last(surfaces, positions, sequences, images[:, -1], rim_m)
     vertices = [positions[epoch]]
     for bounce in reversed(range(sequences.shape[1])):
         wall = sequences[row, bounce]
@@ -257,18 +296,37 @@ def _unfold(
     return epoch, row, np.stack([images[row, 0], *vertices], axis=1)
 
 
-def _opposite(
-    surfaces: Surfaces, positions: Array, images: Array, sequences: NDArray[np.int64]
+def _near_last(
+    surfaces: Surfaces, positions: Array, sequences: NDArray[np.int64], images: Array, rim_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Positions (n, 3) and sequences (q, order) whose image is on the other side of the last surface."""
+    """Positions (n, 3) and sequences (q, order) between which the last surface lies, or nearly so.
+
+    A first look that is quick, since it multiplies matrices: whether the line from the position to
+    the last image (q, 3) meets the last surface, with some slack.
+    """
     if sequences.shape[1] == 0:
-        return np.arange(len(positions)), np.zeros(len(positions), dtype=np.int64)
+        epoch, row = np.nonzero(np.ones((len(positions), len(sequences)), dtype=bool))
+        return epoch, row
     last = sequences[:, -1]
-    normal = surfaces.normal[last]
-    offset = np.sum(surfaces.origin[last] * normal, axis=-1)
-    there = np.sum(images * normal, axis=-1) - offset > 0.0
-    here = positions @ normal.T - offset > 0.0
-    epoch, row = np.nonzero(here != there)
+
+    def coordinates(axes: Array) -> tuple[Array, Array]:  # of positions (n, q), of images (q,)
+        offset = np.sum(surfaces.origin[last] * axes, axis=-1)
+        return positions @ axes.T - offset, np.sum(images * axes, axis=-1) - offset
+
+    here, there = coordinates(surfaces.normal[last])
+    near = (here > 0.0) != (there > 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fraction = here / (here - there)
+        if rim_m >= 0.0:
+            margin: float | Array = _SLACK_M
+        else:
+            length = np.linalg.norm(positions[:, None] - images, axis=-1)
+            margin = _SLACK_M - rim_m * length / np.abs(here - there)
+    for side in range(2):
+        start, end = coordinates(surfaces.sides[last, side])
+        along = start + fraction * (end - start)
+        near &= (along >= -margin) & (along <= surfaces.lengths[last, side] + margin)
+    epoch, row = np.nonzero(near)
     return epoch, row
 
 
@@ -284,17 +342,34 @@ def _on_rectangle(
 
 
 def blocked(surfaces: Surfaces, start: Array, end: Array, rim_m: float = _RIM_M) -> NDArray[np.bool_]:
-    """Whether legs (paths, legs, 3) meet any surface, grown by a rim, between their ends; (paths, legs)."""
+    """Whether legs from (..., 3) to (..., 3) meet any surface, grown by a rim, between their ends; (...)."""
+    legs = np.stack(np.broadcast_arrays(start, end)).reshape(2, -1, 3)
+    block = max(1, _PAIRS // len(surfaces))
+    met = [
+        _any_met(surfaces, legs[0, first : first + block], legs[1, first : first + block], rim_m)
+        for first in range(0, legs.shape[1], block)
+    ]
+    shape = np.broadcast_shapes(np.shape(start), np.shape(end))[:-1]
+    return np.concatenate([np.zeros(0, dtype=bool), *met]).reshape(shape)
+
+
+def _any_met(surfaces: Surfaces, start: Array, end: Array, rim_m: float) -> NDArray[np.bool_]:
+    """:func:`blocked` of legs from (n, 3) to (n, 3), all at once."""
     towards = end - start
     slope = towards @ surfaces.normal.T
     gap = np.sum(surfaces.origin * surfaces.normal, axis=-1) - start @ surfaces.normal.T
     with np.errstate(divide="ignore", invalid="ignore"):
         fraction = gap / slope
-    path, leg, surface = np.nonzero((fraction > _TIP) & (fraction < 1.0 - _TIP))
-    along, crossing = towards[path, leg], (path, leg, surface)
-    margin = rim_m * np.linalg.norm(along, axis=-1) / np.abs(slope[crossing])
-    point = start[path, leg] + fraction[crossing][:, None] * along
-    met = _on_rectangle(surfaces, surface, point, margin)
-    result = np.zeros(slope.shape[:2], dtype=bool)
-    result[path[met], leg[met]] = True
+    crossing = np.flatnonzero((fraction > _TIP) & (fraction < 1.0 - _TIP))
+    leg, surface = np.divmod(crossing, len(surfaces))
+    share = fraction.ravel()[crossing]
+    margin = rim_m * np.linalg.norm(towards, axis=-1)[leg] / np.abs(slope.ravel()[crossing])
+    met = np.ones(len(crossing), dtype=bool)
+    for side in range(2):
+        axes = surfaces.sides[:, side]
+        at = (start @ axes.T - np.sum(surfaces.origin * axes, axis=-1)).ravel()[crossing]
+        along = at + share * (towards @ axes.T).ravel()[crossing]
+        met &= (along >= -margin) & (along <= surfaces.lengths[surface, side] + margin)
+    result = np.zeros(len(start), dtype=bool)
+    result[leg[met]] = True
     return result

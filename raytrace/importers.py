@@ -10,7 +10,7 @@ they run into, and an agent and anchors are placed where the file marks none.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -74,15 +74,19 @@ def import_floorplan(
     FileFormatError
         If the file cannot be read as what its suffix says, or holds no walls.
     InputError
-        If the walls enclose no room or the plan is not valid otherwise.
+        If the walls enclose no room or the plan is not valid otherwise; the message says what of the file
+        was left out.
     """
     options = ImportOptions() if options is None else options
     path = Path(path)
+    dropped: Mapping[str, int] = {}
     try:
         drawing = read_drawing(path, options, meshes)
+        dropped = drawing.report.dropped
         plan = floorplan_of(drawing, path.stem or "plan", options)
     except InputError as error:
-        text = str(error)
+        left_out = ", ".join(f"{count} {what}" for what, count in sorted(dropped.items()))
+        text = f"{error}; left out: {left_out}" if left_out else str(error)
         raise type(error)(text if text.startswith(str(path)) else f"{path}: {text}") from error
     return Imported(plan, drawing)
 

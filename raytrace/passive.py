@@ -2,16 +2,17 @@
 
 The agent's track is the receive array of one solver call for each anchor, in batches
 of a fixed width, so that neither a position, nor a track's length, nor another anchor
-compiles a kernel. In a large batch the solver drops a few paths of two and more
-bounces: it recognises candidates that it has seen by a hash, and hashes collide. The
-image method says what there should be; positions that miss something are traced
+compiles a kernel. They are traced in a stretched scene, in which a sixth of the plan's rays finds
+more paths than all of them in the true one (:mod:`raytrace.scene`). In a large batch the solver
+drops a few paths of two and more bounces: it recognises candidates that it has seen by a hash,
+and hashes collide. The image method says what there should be; positions that miss something are traced
 again in small batches with more rays, repeated until they fill them, which gives every
 path several other hashes, too. Paths that bounce within a millimetre of a corner, or pass one so
 closely, are not expected, for there the tracer's single precision decides, and not extra
 if they are found; nor are those with a leg of about a centimetre or less (two bounces at
-one corner), which the tracer leaves out. Delays, directions and gains are computed anew in double
-precision, and paths that name the surface beside the one they meet are dropped
-(:mod:`raytrace.bounces`).
+one corner), which the tracer leaves out. Delays, directions and gains are computed in double
+precision from the surfaces that a path met, in the true scene, and paths that name the surface
+beside the one they meet are dropped (:mod:`raytrace.bounces`).
 """
 
 from __future__ import annotations
@@ -33,13 +34,12 @@ from raytrace.solver import Bends, solve
 __all__ = ["LEG_M", "RIM_M", "TraceReport", "trace_bent", "trace_passive", "trace_specular"]
 
 _BATCH = 256
-_MANY = 32  # that miss something: the next batch gets more rays
 RIM_M = 1e-3
 # The tracer's own limit is 10 mm; its single precision misjudges by up to a millimetre.
 LEG_M = 12e-3
-# Rays of the repeated attempts, as multiples of the plan's, and positions in a batch. What is missing is
+# Rays of the attempts, as shares of the plan's, and positions in a batch. What the second misses is
 # mostly a surface so small that no ray met it; fewer positions at a time pay for more rays.
-_RETRIES = ((4, 32), (4, 32), (16, 16), (64, 8), (256, 4))
+_ATTEMPTS = ((1 / 6, _BATCH), (0.5, 128), (2, 64), (8, 32), (32, 16), (256, 4))
 
 Array = NDArray[np.float64]
 
@@ -110,7 +110,10 @@ def trace_specular(
     *,
     polarised: bool = False,
 ) -> tuple[PathSet, TraceReport]:
-    """Trace the specular paths from sources (k, 3) to positions (n, 3), metres; as :func:`trace_passive`."""
+    """Trace the specular paths from sources (k, 3) to positions (n, 3), metres; as :func:`trace_passive`.
+
+    ``radio`` is the true scene; paths are looked for in its stretched one.
+    """
     exact = image_paths(plan, positions_m, depth, sources_m, rim_m=RIM_M, leg_m=LEG_M).flat()
 
     def keys(paths: PathList) -> NDArray[np.int64]:
@@ -118,20 +121,22 @@ def trace_specular(
 
     parts, retraced = [], 0
     for index, source in enumerate(sources_m):
-        trace = partial(_trace, radio, source, index, positions_m, depth=depth, polarised=polarised)
+        trace = partial(_trace, radio.tall, source, index, positions_m, depth=depth, polarised=False)
         mine = exact.select(exact.anchor == index)
         part, again = _complete(trace, len(positions_m), plan.tracing.samples, mine.epoch, keys(mine), keys)
         parts.append(part)
         retraced += again
 
-    paths = sharpened(plan, PathList.concatenate(parts), positions_m, sources_m, RIM_M, radio.carrier_hz)
+    paths = sharpened(
+        plan, PathList.concatenate(parts), positions_m, sources_m, RIM_M, radio.carrier_hz, polarised
+    )
     expected, traced = keys(exact), keys(paths)
-    unexpected = np.setdiff1d(traced, expected)
-    if unexpected.size:
-        where = np.unique(paths.epoch[np.isin(traced, unexpected)])
-        there = image_paths(plan, positions_m[where], depth, sources_m, rim_m=-RIM_M).flat()
+    unexpected = ~np.isin(traced, expected)
+    if unexpected.any():
+        where, among = np.unique(paths.epoch[unexpected]), paths.walls[unexpected]
+        there = image_paths(plan, positions_m[where], depth, sources_m, rim_m=-RIM_M, among=among).flat()
         at_corners = keys(replace(there, epoch=where[there.epoch]))
-        expected = np.union1d(expected, np.intersect1d(unexpected, at_corners))
+        expected = np.union1d(expected, np.intersect1d(traced[unexpected], at_corners))
     found = np.intersect1d(expected, traced).size
     report = TraceReport(
         expected=expected.size,
@@ -151,25 +156,19 @@ def _complete(
     expected: NDArray[np.int64],
     keys: Callable[[PathList], NDArray[np.int64]],
 ) -> tuple[PathList, int]:
-    """Trace until nothing ``expected`` at any ``epoch`` is missing; the paths, and positions traced again.
-
-    Where a batch misses much, the next ones get twice the rays.
-    """
-    parts, more = [], 1
-    for first in range(0, positions, _BATCH):
-        batch = np.arange(first, min(first + _BATCH, positions))
-        parts.append(trace(batch, more * samples))
-        due = (epoch >= first) & (epoch < first + _BATCH)
-        if np.sum(~np.isin(expected[due], keys(parts[-1]))) > _MANY:
-            more = 2
-    part, retraced = _distinct(PathList.concatenate(parts)), 0
-    for attempt, (more, width) in enumerate(_RETRIES):
-        missing = np.unique(epoch[~np.isin(expected, keys(part))])
-        if not missing.size:
-            break
-        retraced += missing.size
-        again = trace(np.roll(missing, attempt), more * samples, width=width)
-        part = _distinct(PathList.concatenate([part, again]))
+    """Trace until nothing ``expected`` at any ``epoch`` is missing; the paths, and positions traced again."""
+    part: PathList | None = None
+    where, retraced = np.arange(positions), 0
+    for attempt, (share, width) in enumerate(_ATTEMPTS):
+        if part is not None:
+            where = np.unique(epoch[~np.isin(expected, keys(part))])
+            if not where.size:
+                break
+            retraced += where.size
+        rays = max(1, round(share * samples))
+        found = trace(np.roll(where, max(attempt - 1, 0)), rays, width=width)
+        part = found if part is None else _distinct(PathList.concatenate([part, found]))
+    assert part is not None
     return part, retraced
 
 
@@ -244,8 +243,9 @@ def _trace(
 
 
 def _distinct(paths: PathList) -> PathList:
-    """One of each path, the first in canonical order."""
-    paths = paths.canonical()
-    rows = np.column_stack([paths.epoch, paths.anchor, paths.walls, paths.interactions])
-    _, first = np.unique(rows, axis=0, return_index=True)
-    return paths.select(np.sort(first))
+    """One of each path, the shortest."""
+    names = [*paths.interactions.T, *paths.walls.T, paths.anchor, paths.epoch]
+    order = np.lexsort([paths.delay_s, *names])
+    new = np.ones(len(paths), dtype=np.bool_)
+    new[1:] = np.any([name[order][1:] != name[order][:-1] for name in names], axis=0)
+    return paths.select(order[new])

@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from estimator.errors import InputError
@@ -288,6 +289,7 @@ def _draw_stations(axes: Axes, plan: FloorPlan, track: bool = True) -> None:
             ha="center",
             color=COLOURS["anchor"],
             zorder=6,
+            path_effects=[withStroke(linewidth=3.0, foreground="white", alpha=0.8)],
         )
 
 

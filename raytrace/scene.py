@@ -5,11 +5,16 @@ not per wall); which wall a triangle belongs to follows from its number. For dif
 walls of one mesh that meet share the vertices of the corner. Geometry is that of
 :func:`raytrace.images.surfaces_of`. Call :func:`raytrace.backend.prepare` before; this
 module imports the ray tracer when its functions run.
+
+Specular paths are looked for in a scene that is stretched upwards until it is as high as it is wide.
+Mirrors that stand or lie send an image the same way in both, so every path has its counterpart, with
+bounces on the same surfaces; but of rays shot in all directions many times as many meet the walls.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,18 +36,31 @@ class RadioScene:
 
     Parameters
     ----------
+    plan : FloorPlan
+        The plan.
     scene : sionna.rt.Scene
-        The scene at one carrier, without transmitters and receivers.
+        Its scene at one carrier, without transmitters and receivers.
     carrier_hz : float
         This carrier, hertz.
     surfaces_by_object : dict of int to ndarray of int16
         For each object's identity, the surface (an index of
         ``FloorPlan.surface_names``) of every pair of triangles.
+    stretch : float
+        Heights in the scene over those in the plan.
     """
 
+    plan: FloorPlan
     scene: Any
     carrier_hz: float
     surfaces_by_object: dict[int, NDArray[np.int16]]
+    stretch: float = 1.0
+
+    @cached_property
+    def tall(self) -> RadioScene:
+        """The same, stretched until it is as high as it is wide, if it is not; built when first asked for."""
+        width = np.ptp(np.vstack(self.plan.walls_m()), axis=0).max()
+        height = max(wall.height_m for wall in self.plan.walls)
+        return build_scene(self.plan, self.carrier_hz, stretch=max(1.0, float(width / height)))
 
     def surfaces(self, objects: NDArray[np.uint32], primitives: NDArray[np.uint32]) -> NDArray[np.int16]:
         """Surfaces that paths met, of any shape; ``NO_SURFACE`` where there was no bounce."""
@@ -53,8 +71,8 @@ class RadioScene:
         return found
 
 
-def build_scene(plan: FloorPlan, carrier_hz: float) -> RadioScene:
-    """Build the scene of a plan at one carrier frequency.
+def build_scene(plan: FloorPlan, carrier_hz: float, stretch: float = 1.0) -> RadioScene:
+    """Build the scene of a plan at one carrier frequency, with all heights multiplied by ``stretch``.
 
     Raises
     ------
@@ -66,7 +84,7 @@ def build_scene(plan: FloorPlan, carrier_hz: float) -> RadioScene:
     import mitsuba as mi
     import sionna.rt as rt
 
-    corners = surfaces_of(plan).corners()
+    corners = surfaces_of(plan).corners() * np.array([1.0, 1.0, stretch])
     groups: dict[tuple[str, float], list[int]] = {}
     for index, slab in enumerate(plan.surface_slabs):
         groups.setdefault((slab.material, slab.thickness_m), []).append(index)
@@ -90,7 +108,7 @@ def build_scene(plan: FloorPlan, carrier_hz: float) -> RadioScene:
         scene.objects[f"slab-{number}"].object_id: np.array(members, dtype=np.int16)
         for number, members in enumerate(groups.values())
     }
-    return RadioScene(scene, carrier_hz, members_of)
+    return RadioScene(plan, scene, carrier_hz, members_of, stretch)
 
 
 def _material(plan: FloorPlan, slab: Wall | Slab, number: int) -> Any:

@@ -55,7 +55,7 @@ def solve(
     radio : RadioScene
         Scene, at its carrier.
     source_m, targets_m : ndarray, shapes (3,) and (n, 3)
-        End points, metres; ``PathList.epoch`` counts the targets, and
+        End points in the plan, metres; ``PathList.epoch`` counts the targets, and
         ``PathList.anchor`` is 0.
     depth : int
         Most bounces.
@@ -75,12 +75,14 @@ def solve(
     Returns
     -------
     PathList
-        In no particular order.
+        In no particular order. In a stretched scene delays, directions and gains are those of the
+        stretched paths; surfaces are the same.
     """
+    upwards = np.array([1.0, 1.0, radio.stretch])
     paths = _sionna_paths(
         radio,
-        source_m,
-        targets_m,
+        source_m * upwards,
+        targets_m * upwards,
         depth,
         samples,
         los,

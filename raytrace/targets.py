@@ -43,7 +43,7 @@ def target_returns(plan: FloorPlan, sender_m: Array, receiver_m: Array) -> PathL
     places = np.array([target.position_m for target in plan.targets]).reshape(-1, 3)
     section = np.array([target.section_m2 for target in plan.targets])
     ends = np.stack([np.broadcast_to(end, places.shape) for end in (sender_m, receiver_m)], axis=1)
-    hidden = blocked(surfaces_of(plan), ends, np.broadcast_to(places[:, None], ends.shape)).any(axis=1)
+    hidden = blocked(surfaces_of(plan), ends, places[:, None]).any(axis=1)
     places, section, ends = places[~hidden], section[~hidden], ends[~hidden]
     towards = places[:, None] - ends  # (target, end, xyz)
     there, back = np.linalg.norm(towards, axis=-1).T

@@ -39,7 +39,7 @@ def register(app: typer.Typer) -> None:
             "trace l-room --out part2 --shard-epochs 50 --part 2/3",
         ),
         (campaign, "campaign rooms.toml --out rooms", "campaign rooms.toml --out rooms --jobs 4"),
-        (append, "append room --epochs 240"),
+        (append, "append rooms/l-room-short-seed1 --epochs 200"),
         (merge, "merge l-room part1 part2 part3 --out room"),
         (verify, "verify room", "verify room --json"),
         (info, "info room", "info room --json"),

@@ -103,11 +103,25 @@ def test_what_continues_beyond_the_other_face_stays() -> None:
 
 
 def test_lines_drawn_twice_and_in_pieces_are_one() -> None:
-    """Doubled, reversed and split lines are a single wall; another material is another wall."""
+    """Doubled, reversed and split lines are a single wall; another material takes the place of its part."""
     pieces = [line((0, 0), (3, 0)), line((5, 0), (3, 0)), line((1, 0), (2, 0)), line((0, 0), (3, 0), "glass")]
     walls, report = surfaces(pieces)
-    assert ends(walls) == ends([line((0, 0), (5, 0)), line((0, 0), (3, 0), "glass")])
+    assert ends(walls) == ends([line((3, 0), (5, 0)), line((0, 0), (3, 0), "glass")])
     assert report.collapsed["line continued or drawn twice"] == 2
+    assert report.collapsed["line cut where another material lies on it"] == 1
+
+
+def test_no_two_walls_lie_on_one_another() -> None:
+    """A window in the middle of a wall cuts it in two; of a border of two rooms the former's wall stays."""
+    walls, report = surfaces([line((0, 0), (9, 0)), line((6, 0.001), (4, 0.001), "glass")])
+    assert sorted((piece.material, round(piece.length_m, 3)) for piece in walls) == [
+        ("concrete", 3.0),
+        ("concrete", 4.0),
+        ("glass", 2.0),
+    ]
+    assert report.collapsed["line cut where another material lies on it"] == 1
+    border = [line((5, 0), (5, 4), "brick"), line((5, 4), (5, 0), "wood")]
+    assert surfaces(border)[0] == border[:1]
 
 
 def test_gaps_of_millimetres_close_and_doors_do_not() -> None:

@@ -44,11 +44,12 @@ def scenario(sharded: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 def test_netcdf_is_plain_hdf5(sharded: Dataset) -> None:
-    """h5py reads every variable of every file, with units, to the values that xarray gives."""
+    """h5py reads every variable of every file, with CF's units, to the values that xarray gives."""
     for entry in sharded.manifest["shards"]:
         file = sharded.path / entry["file"]
         with xr.open_dataset(file, engine="h5netcdf") as data, h5py.File(file) as raw:
             assert data.attrs["format"] == f"hapslam-dataset/{entry['kind']}"
+            assert data.attrs["Conventions"] == "CF-1.11"
             for name, variable in data.data_vars.items():
                 np.testing.assert_array_equal(raw[str(name)][...], variable.values)
                 units = raw[str(name)].attrs["units"]

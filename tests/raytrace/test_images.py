@@ -203,11 +203,28 @@ def test_blocks_of_positions_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> N
     """Looking at three positions at a time gives what looking at all at once gives."""
     plan = load_floorplan("l-room").updated({"agent.epochs": 10})
     whole = image_paths(plan).flat()
-    monkeypatch.setattr("raytrace.images._ROWS", 100)
+    monkeypatch.setattr("raytrace.images._PAIRS", 100)
     pieces = image_paths(plan).flat()
     np.testing.assert_array_equal(whole.delay_s, pieces.delay_s)
     np.testing.assert_array_equal(whole.walls, pieces.walls)
     np.testing.assert_array_equal(whole.epoch, pieces.epoch)
+
+
+def test_chosen_sequences_alone() -> None:
+    """Asked for some sequences, of all orders and one of them twice, it gives their paths and no others.
+
+    Sequences with a gap, or of surfaces that are not there, have none.
+    """
+    plan = load_floorplan("l-room").updated({"agent.epochs": 30})
+    whole = image_paths(plan).flat()
+    none = NO_SURFACE
+    among = np.array([[0, none], [1, 0], [1, 0], [none, none]], dtype=np.int16)
+    some = image_paths(plan, among=among).flat()
+    wanted = (whole.walls[:, None] == among).all(axis=2).any(axis=1)
+    assert set(whole.order[wanted]) == {0, 1, 2}
+    np.testing.assert_array_equal(some.walls, whole.walls[wanted])
+    np.testing.assert_array_equal(some.delay_s, whole.delay_s[wanted])
+    assert image_paths(plan, among=np.array([[none, 1], [0, 99]], dtype=np.int16)).valid.sum() == 0
 
 
 @pytest.mark.parametrize("depth", [0, 2])

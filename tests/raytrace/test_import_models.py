@@ -129,6 +129,9 @@ def test_meshes_are_read_only_if_given(tmp_path: Path) -> None:
     assert without.drawing.report.dropped["mesh inner.ply, which was not given"] == 1
     given = import_floorplan(path, meshes=[mesh])
     assert frozenset([(4.05, 2.0), (4.05, 6.0)]) in ends(given)
+    path.write_text(scene(*four_walls()[:2], inner))
+    with pytest.raises(InputError, match="enclose a room.*left out: 1 mesh inner.ply, which was not given"):
+        import_floorplan(path)
 
 
 def test_nothing_that_a_scene_names_is_opened(

@@ -13,6 +13,7 @@ from raytrace.floorplan import FloorPlan, load_floorplan, shipped_scenes
 from raytrace.images import image_paths
 from raytrace.passive import TraceReport, trace_passive, trace_specular
 from raytrace.paths import PathList, PathSet
+from raytrace.random_plans import KINDS, Kind, random_plan
 from raytrace.scene import RadioScene, build_scene
 from raytrace.solver import solve
 
@@ -103,19 +104,68 @@ def test_paths_beside_their_surfaces_are_dropped() -> None:
     assert len(sharpened(plan, swapped, plan.track(), plan.anchors_m(), 10.0, 28e9)) == len(exact)
 
 
+def test_a_stretched_room_has_the_same_paths() -> None:
+    """With floor and ceiling: the same surfaces in the true scene and in the stretched one, of all paths.
+
+    Seen from above, these are the same paths: their azimuths are those of image geometry.
+    """
+    plan = load_floorplan("l-room-hard").updated({"agent.epochs": 40, "agent.step_m": 2.5})
+    radio = build_scene(plan, plan.radio.carrier_hz)
+    assert radio.tall.stretch == pytest.approx(80.0 / 3.0)
+    exact = image_paths(plan, anchors_m=plan.anchors_m()[:1], rim_m=1e-3, leg_m=0.012).flat()
+    for scene, samples in ((radio, 24_000), (radio.tall, 1_000)):
+        raw = solve(scene, plan.anchors_m()[0], plan.track(), depth=2, samples=samples)
+        traced, image = pairs(plan, raw, exact)
+        assert len(traced) > 0.995 * len(exact)  # but for what hash collisions cost
+        assert len(raw) < 1.005 * len(exact)
+        assert turn(traced.arrival_azimuth_rad - image.arrival_azimuth_rad).max() < 1e-3
+        assert turn(traced.departure_azimuth_rad - image.departure_azimuth_rad).max() < 1e-3
+
+
+def test_rays_of_a_stretched_scene_find_more() -> None:
+    """In a long corridor a thousand rays of the stretched scene find more than six thousand of the true."""
+    plan = load_floorplan("corridor").updated({"agent.epochs": 64, "agent.step_m": 1.2})
+    radio = build_scene(plan, plan.radio.carrier_hz)
+    exact = image_paths(plan, rim_m=1e-3, leg_m=0.012).flat()
+    found = {
+        scene.stretch: sum(
+            len(pairs(plan, replace(raw, anchor=np.full(len(raw), index)), exact)[0])
+            for index, anchor in enumerate(plan.anchors_m())
+            for raw in [solve(scene, anchor, plan.track(), depth=2, samples=samples)]
+        )
+        for scene, samples in ((radio, 6_000), (radio.tall, 1_000))
+    }
+    assert found[1.0] < found[radio.tall.stretch] <= len(exact)
+    assert found[radio.tall.stretch] > 0.99 * len(exact)
+
+
 @pytest.mark.parametrize("scene", shipped_scenes())
 def test_the_tracers_own_gains_are_fresnel(scene: str) -> None:
-    """Before they are sharpened, gains are free space times slab reflections, written independently.
+    """What the tracer says of paths in the true scene: gains are those of free space and slabs."""
+    assert_own_gains_are_fresnel(load_floorplan(scene), least=100)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_tracers_own_gains_are_fresnel_in_fifty_plans(kind: Kind, seed: int) -> None:
+    """The same in ten random plans of every kind."""
+    plan = random_plan(kind, np.random.default_rng(1000 + seed), most_epochs=60)
+    assert_own_gains_are_fresnel(plan, least=30)
+
+
+def assert_own_gains_are_fresnel(plan: FloorPlan, least: int) -> None:
+    """Traced gains, as they come, against free space times slab reflections, written independently.
 
     To 0.05 dB in magnitude, of paths that stay 20 cm from every corner and are at most 25 dB weaker than
     over as much free space: nearer, and in the depth of a Brewster null, single precision costs more.
+    There have to be more than ``least`` of them.
     """
-    plan = load_floorplan(scene)
     source, track = plan.anchors_m()[:1], plan.track()[:64]
     radio = build_scene(plan, plan.radio.carrier_hz)
     raw = solve(radio, source[0], track, depth=2, samples=plan.tracing.samples)
     raw, exact = pairs(plan, raw, image_paths(plan, track, 2, source, rim_m=0.2, leg_m=0.2).flat())
-    assert len(raw) > 100
+    assert len(raw) > least
     free = SPEED_OF_LIGHT_M_S / plan.radio.carrier_hz / (4 * np.pi * exact.delay_s * SPEED_OF_LIGHT_M_S)
     strong = np.abs(exact.amplitude) > 10 ** (-25 / 20) * free
     assert strong.mean() > 0.5

@@ -74,7 +74,7 @@ def lambertian_gain(plan: FloorPlan, agent: np.ndarray) -> float:
 
 
 def test_diffuse_power_is_lamberts() -> None:
-    """The summed power of diffuse paths equals the integral, within the sampling error of the rays."""
+    """The summed power of diffuse paths equals the integral, within the rays' sampling error and 0.1 dB."""
     plan = one_rough_wall()
     radio = build_scene(plan, plan.radio.carrier_hz)
     agent = plan.track()[1]
@@ -86,6 +86,42 @@ def test_diffuse_power_is_lamberts() -> None:
     assert (power > 0).sum() > 1000
     assert error < 0.03 * expected
     assert abs(power.sum() - expected) < 3 * error
+    assert abs(10 * np.log10(power.sum() / expected)) < 0.1
+
+
+def test_diffuse_echo_falls_as_the_square_of_the_distance() -> None:
+    """Of a large rough wall of metal a lone antenna hears ``(lambda / 4 pi)^2 S^2 / (2 d^2)``, within 0.1 dB.
+
+    That is Lambert's law over a half-space, the integral of ``cos^2 / (pi r^4)``: not the fourth power of
+    the distance that a point target has.
+    """
+    corners = [(0.0, 0.0), (800.0, 0.0), (800.0, 800.0), (0.0, 800.0)]
+    walls = [
+        {"name": f"w{i}", "from_m": corners[i], "to_m": corners[(i + 1) % 4], "height_m": 800.0}
+        for i in range(4)
+    ]
+    plan = parse_floorplan(
+        {
+            "format": "hapslam-floorplan",
+            "version": 1,
+            "name": "cliff",
+            "walls": [{**walls[0], "material": "metal"}, *walls[1:]],
+            "scattering": {"metal": SCATTERING},
+            "anchors": [{"name": "pa1", "position_m": (400.0, 2.0, 400.0)}],
+            "agent": {"waypoints_m": [(400.0, 2.0), (400.0, 20.0)], "smoothing_m": 0.0, "epochs": 3},
+        }
+    )
+    radio = build_scene(plan, plan.echo.carrier_hz)
+    half = np.array([0.0, 0.0, 0.5 * plan.echo.separation_m])
+    wavelength = SPEED_OF_LIGHT_M_S / plan.echo.carrier_hz
+    for distance in (2.0, 4.0, 8.0, 16.0):
+        place = np.array([400.0, distance, 400.0])
+        paths = solve(
+            *(radio, place + half, (place - half)[None]), depth=1, samples=100_000, los=False, diffuse=True
+        )
+        power = np.sum(np.abs(paths.amplitude) ** 2)
+        expected = (wavelength / (4 * np.pi)) ** 2 * SCATTERING**2 / (2 * distance**2)
+        assert abs(10 * np.log10(power / expected)) < 0.1, distance
 
 
 def test_response_is_the_sum_of_the_paths() -> None:

@@ -13,6 +13,8 @@ from service.bench.rows import Row, cpu_s
 
 Runner = Callable[..., SimpleNamespace]
 
+SCENES = ["corridor", "hall", "l-room-hard", "office", "warehouse"]  # but for the L-room
+
 
 def test_the_estimator_is_measured_in_earnest(main: Runner) -> None:
     """Real figures of the estimator, positive and within ten times their bars, with machine and versions."""
@@ -37,10 +39,12 @@ def test_the_ray_tracer_is_measured_in_earnest(main: Runner) -> None:
     """Ours is beside one solver call per position and far faster; a small dataset stays within its memory."""
     run = main("bench", "--only", "raytrace", "--quick", "--json")
     assert run.status == 0, run.err
-    first, second, memory, seconds, size = json.loads(run.out)["rows"]
+    first, *second, memory, seconds, size = json.loads(run.out)["rows"]
     assert first["peer_value"] == pytest.approx(50.0 * first["bar"])
     assert first["ratio"] > 10.0
-    assert 0.0 < second["value"] < 10.0 * second["bar"]
+    for name, row in zip(["", *SCENES], second, strict=True):
+        assert name in row["name"]
+        assert 0.0 < row["value"] < 10.0 * row["bar"] == 5.0
     assert 0.1 < memory["value"] < memory["bar"] == 3.0
     assert seconds["value"] > 0.0
     assert size["value"] > 500 * 4 * 819 * 8 * 0.5 / 2**30
