@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from estimator.geometry import segments_cross
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import wall_side
+from estimator.slam.layout import Layout
 from estimator.slam.levels import loss_limits
 from estimator.slam.packing import packed
 from estimator.slam.pool import pending_of
 from estimator.slam.state import GaussianState
-from estimator.slam.virtual_anchors import vrp_by_image, vrp_of_image
+from estimator.slam.virtual_anchors import vrp_by_anchor, vrp_by_image, vrp_of_image
 
 __all__ = ["Bank", "Line", "find_line", "may_bear", "wall_bank"]
 
@@ -63,14 +64,26 @@ class Bank:
     mean_m : ndarray, shape (B, 2)
         VRPs.
     covariance_m2 : ndarray, shape (B, 2, 2)
-        Covariances.
+        Covariances, if agent and anchor stood where they are believed to stand.
+    by_agent, by_device : ndarray, shapes (B, 2, 2) and (B, 2, 4)
+        Derivatives of the VRPs by the agent's position, and by the anchor in the state vector: the errors
+        of a new wall are theirs, too.
     log_weight : ndarray, shape (B,)
         Log likelihoods relative to the best.
     """
 
     mean_m: Array
     covariance_m2: Array
+    by_agent: Array
+    by_device: Array
     log_weight: Array
+
+    def jacobian(self, layout: Layout, anchor: int) -> Array:
+        """Derivatives (B, 2, n) of the VRPs by the state vector, heard from an anchor."""
+        jacobian = np.zeros((len(self.mean_m), 2, layout.size))
+        jacobian[:, :, layout.POSITION] = self.by_agent
+        jacobian[:, :, layout.anchor(anchor)] = self.by_device
+        return jacobian
 
 
 def may_bear(states: Sequence[GaussianState], config: GaussianConfig) -> NDArray[np.bool_]:
@@ -229,13 +242,22 @@ def wall_bank(
     width = 0.7 * spacing[index] * reach
     spread = width[:, None, None] ** 2 * along[:, :, None] * along[:, None, :]
     spread += 0.3**2 * unit[:, :, None] * unit[:, None, :]
-    jacobian = np.array([vrp_by_image(point, anchor) for point in image[index]])
-    covariance = jacobian @ spread @ np.swapaxes(jacobian, 1, 2) + 0.05**2 * np.eye(2)
+    by_image = vrp_by_image(image[index], np.broadcast_to(anchor, (index.size, 2)))
+    covariance = by_image @ spread @ np.swapaxes(by_image, 1, 2) + 0.05**2 * np.eye(2)
+    by_length = (by_image @ unit[..., None])[..., 0]
+    by_device = np.concatenate(
+        [
+            vrp_by_anchor(image[index], np.broadcast_to(anchor, (index.size, 2))),
+            (-0.5 / flat[-1] * by_length)[..., None],
+            (-(line.length_m[-1] - device[3]) / flat[-1] * by_length)[..., None],
+        ],
+        axis=2,
+    )
     turn = (
         spacing[index] * reach / np.linalg.norm(image[index] - anchor, axis=1)
     )  # angle each bearing stands for
     log_weight = -config.birth_trust * (cost[index] - cost[index].min()) + np.log(turn)
-    return Bank(vrp[index], covariance, log_weight - log_weight.max())
+    return Bank(vrp[index], covariance, by_image, by_device, log_weight - log_weight.max())
 
 
 def _images(bearing: Array, flat: Array, variance: Array, position: Array) -> tuple[Array, Array]:

@@ -310,7 +310,11 @@ def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:
     columns = state.layout.wall(slot)
     new = state.rows.take(np.full(len(bank.mean_m), best))
     new.mean[:, columns] = bank.mean_m
-    new.covariance[:, columns, columns] = bank.covariance_m2
+    jacobian = bank.jacobian(state.layout, line.anchor)
+    cross = jacobian @ new.covariance
+    new.covariance[:, columns, :] = cross
+    new.covariance[:, :, columns] = cross.transpose(0, 2, 1)
+    new.covariance[:, columns, columns] = cross @ jacobian.transpose(0, 2, 1) + bank.covariance_m2
     new.present[:, slot] = True
     new.log_weight[...] += config.birth_log_prior + bank.log_weight - log_sum_exp(bank.log_weight)
     slots = state.slots.copy()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from estimator.slam.layout import Layout
 
-__all__ = ["VirtualAnchors", "implied_walls", "vrp_by_image", "vrp_of_image"]
+__all__ = ["VirtualAnchors", "implied_walls", "vrp_by_anchor", "vrp_by_image", "vrp_of_image"]
 
 Array = NDArray[np.float64]
 
@@ -31,6 +31,15 @@ def vrp_by_image(image: Array, anchor: Array) -> Array:
     rise = (np.sum(image * image, axis=-1) - np.sum(anchor * anchor, axis=-1))[..., None, None]
     by_scale = 2.0 * (image[..., None, :] - rise / square * chord[..., None, :])
     return np.asarray((chord[..., :, None] * by_scale + rise * np.eye(2)) / square)
+
+
+def vrp_by_anchor(image: Array, anchor: Array) -> Array:
+    """Jacobians (..., 2, 2) of VRPs by anchors (..., 2), of virtual anchors (..., 2) that stay."""
+    chord = image - anchor
+    square = np.sum(chord * chord, axis=-1)[..., None, None]
+    rise = (np.sum(image * image, axis=-1) - np.sum(anchor * anchor, axis=-1))[..., None, None]
+    by_scale = 2.0 * (rise / square * chord[..., None, :] - anchor[..., None, :])
+    return np.asarray((chord[..., :, None] * by_scale - rise * np.eye(2)) / square)
 
 
 class VirtualAnchors:

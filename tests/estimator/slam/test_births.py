@@ -11,6 +11,7 @@ import pytest
 from estimator.slam import GaussianConfig
 from estimator.slam.births import Line, find_line, wall_bank
 from estimator.slam.features import reflect
+from estimator.slam.layout import Layout
 
 CONFIG = GaussianConfig()
 TRUE = np.array([0.0, 90.0])  # the wall y = 45
@@ -94,3 +95,30 @@ def test_paths_that_lost_too_much_make_no_line():
     assert find_line(points, 17, np.array([5.0, 10.0]), CONFIG).anchor == 1
     points[:, 4] = np.nan
     assert find_line(points, 17, np.array([5.0, 5.0]), CONFIG) is not None
+
+
+def test_a_new_wall_has_the_errors_of_agent_and_anchor():
+    """The derivatives of its places are differences of banks of a shifted track, anchor, height and clock."""
+    anchor, step = np.array([55.0, 35.0]), 1e-4
+    length = np.linalg.norm(TRACK - reflect(anchor[None], TRUE[None])[0], axis=1)
+    line = Line(0, np.arange(len(TRACK)), length, np.full(len(TRACK), 0.1))
+
+    def bank(shift, device):
+        device = np.array([*anchor, 1.0, 0.0]) + device
+        std, nothing = np.full(len(TRACK), 0.05), np.empty((0, 2, 2))
+        return wall_bank(line, TRACK + shift, std, device, NOTHING, NOTHING, nothing, CONFIG)
+
+    def slope(shift, device):
+        ahead, behind = bank(shift, device), bank(-shift, -device)
+        return (ahead.mean_m - behind.mean_m) / (2.0 * step)
+
+    here = bank(np.zeros(2), np.zeros(4))
+    for i, axis in enumerate(step * np.eye(2)):
+        np.testing.assert_allclose(here.by_agent[:, :, i], slope(axis, np.zeros(4)), atol=1e-3)
+    for i, axis in enumerate(step * np.eye(4)):
+        np.testing.assert_allclose(here.by_device[:, :, i], slope(np.zeros(2), axis), atol=0.03)
+    layout = Layout(2, 1)
+    jacobian = here.jacobian(layout, 1)
+    assert np.array_equal(jacobian[:, :, layout.anchor(1)], here.by_device)
+    assert np.array_equal(jacobian[:, :, :2], here.by_agent)
+    assert not jacobian[:, :, layout.anchor(0)].any()
