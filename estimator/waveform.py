@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import ConfigurationError
 
@@ -35,17 +35,18 @@ BOLTZMANN_J_PER_K = 1.380_649e-23
 NOISE_TEMPERATURE_K = 290.0
 
 
-def free_space_loss_db(distance_m: NDArray[np.float64], carrier_hz: float) -> NDArray[np.float64]:
+def free_space_loss_db(distance_m: NDArray[np.float64], carrier_hz: ArrayLike) -> NDArray[np.float64]:
     """Free-space path loss between isotropic antennas, in dB (positive).
 
     Parameters
     ----------
     distance_m : array
         Path length in metres, any shape, positive.
-    carrier_hz : float
-        Carrier frequency in hertz.
+    carrier_hz : array_like
+        Carrier frequency in hertz, of all lengths or one of each.
     """
-    return np.asarray(20.0 * np.log10(4.0 * np.pi * np.asarray(distance_m) * carrier_hz / SPEED_OF_LIGHT_M_S))
+    cycles = np.asarray(distance_m) * np.asarray(carrier_hz) / SPEED_OF_LIGHT_M_S
+    return np.asarray(20.0 * np.log10(4.0 * np.pi * cycles))
 
 
 @dataclass(frozen=True)

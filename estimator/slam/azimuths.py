@@ -27,7 +27,9 @@ def _wrapped(angle_rad: Array) -> Array:
     return np.asarray(np.angle(np.exp(1j * angle_rad)))
 
 
-def azimuth_ratio(mean: Array, covariance: Array, paths: PathTable, layout: Layout) -> Array | float:
+def azimuth_ratio(
+    mean: Array, covariance: Array, paths: PathTable, layout: Layout, feature: NDArray[np.int64]
+) -> Array | float:
     """Likelihood of each direction under each feature over that of clutter from anywhere.
 
     Parameters
@@ -38,15 +40,17 @@ def azimuth_ratio(mean: Array, covariance: Array, paths: PathTable, layout: Layo
         The epoch's paths, azimuths in the gauge frame.
     layout : Layout
         Positions in the state vector.
+    feature : ndarray of int64, shape (R, K, C)
+        Features of each anchor.
 
     Returns
     -------
-    ndarray, shape (R, K, F, M), or 1.0
+    ndarray, shape (R, K, C, M), or 1.0
         1 where there is no direction, or the heading is unknown.
     """
     if paths.azimuth_rad is None or paths.azimuth_std_rad is None or not paths.heading_held:
         return 1.0
-    azimuth, jacobian = predict_azimuths(mean, layout)
+    azimuth, jacobian = predict_azimuths(mean, layout, feature)
     rows, anchors, features, size = jacobian.shape
     flat = jacobian.reshape(rows, anchors * features, size)
     spread = np.sum((flat @ covariance) * flat, axis=-1).reshape(rows, anchors, features)
@@ -71,7 +75,12 @@ def _turn(innovation: Array, use: NDArray[np.bool_]) -> Array:
 
 
 def take_azimuths(
-    mean: Array, covariance: Array, label: NDArray[np.int64], paths: PathTable, layout: Layout
+    mean: Array,
+    covariance: Array,
+    feature: NDArray[np.int64],
+    label: NDArray[np.int64],
+    paths: PathTable,
+    layout: Layout,
 ) -> tuple[Array, Array, Array]:
     """Correct rows by the directions of the paths that features were found to have given.
 
@@ -79,8 +88,10 @@ def take_azimuths(
     ----------
     mean, covariance : ndarray, shapes (R, n) and (R, n, n)
         Gaussians already corrected by the path lengths.
-    label : ndarray of int64, shape (R, K, F)
-        Path that each feature gave, -1 for none.
+    feature : ndarray of int64, shape (R, K, C)
+        Features of each anchor.
+    label : ndarray of int64, shape (R, K, C)
+        Path that each gave, -1 for none.
     paths, layout
         As for :func:`azimuth_ratio`.
 
@@ -104,7 +115,7 @@ def take_azimuths(
     columns = np.flatnonzero(use.reshape(len(mean), -1).any(axis=0))
     if columns.size == 0:
         return mean, covariance, np.zeros(len(mean))
-    azimuth, jacobian = predict_azimuths(mean, layout)
+    azimuth, jacobian = predict_azimuths(mean, layout, feature)
     innovation = angle - azimuth
     common = 0.0
     if not paths.heading_held:

@@ -11,6 +11,7 @@ new wall must not stand in the way of paths that were heard.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,9 +20,13 @@ from numpy.typing import NDArray
 from estimator.geometry import segments_cross
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import wall_side
+from estimator.slam.levels import loss_limits
+from estimator.slam.packing import packed
+from estimator.slam.pool import pending_of
+from estimator.slam.state import GaussianState
 from estimator.slam.virtual_anchors import vrp_by_image, vrp_of_image
 
-__all__ = ["Bank", "Line", "find_line", "wall_bank"]
+__all__ = ["Bank", "Line", "find_line", "may_bear", "wall_bank"]
 
 Array = NDArray[np.float64]
 _MOST_PARTS = 12  # of the spacing of bearings
@@ -66,6 +71,46 @@ class Bank:
     mean_m: Array
     covariance_m2: Array
     log_weight: Array
+
+
+def may_bear(states: Sequence[GaussianState], config: GaussianConfig) -> NDArray[np.bool_]:
+    """Which of B runs :func:`find_line` should be asked about: a quick test of all of them.
+
+    A run that no wall is pending in, and in which some path of the last two epochs has company in enough
+    others: by the triangle inequality the length of a path over a wall changes by no more than the
+    agent moves. Of clutter few are so near.
+    """
+    idle = ~pending_of(states)
+    loose = [state.loose for state in states]
+    run = np.repeat(np.arange(len(states)), [len(each) for each in loose])
+    points = np.concatenate(loose)
+    now = np.array([state.epoch for state in states])
+    limit = np.array([loss_limits(state, config) for state in states])
+    use = points[:, 0] > now[run] - config.birth_window
+    use &= ~(points[:, 4] >= limit[run, points[:, 1].astype(np.int64)])
+    points, run = points[use & idle[run]], run[use & idle[run]]
+    # the agent at the epoch of each path: the trails of all runs, one after the other
+    trails = [state.trail for state in states]
+    epoch = np.concatenate([trail[:, 0] - trail[0, 0] for trail in trails])
+    first = np.array([trail[0, 0] for trail in trails])
+    span = max(float(epoch.max(initial=0.0)) + 1.0, 1.0)
+    key = epoch + span * np.repeat(np.arange(len(states)), [len(trail) for trail in trails])
+    at = np.searchsorted(key, points[:, 0] - first[run] + span * run)
+    place = np.concatenate(trails)[np.minimum(at, key.size - 1), 1:3]
+    count = np.bincount(run, minlength=len(states))
+    column = np.arange(run.size) - (np.cumsum(count) - count)[run]
+    table = np.full((len(states), int(count.max(initial=0)), 6), np.inf)
+    table[run, column] = np.column_stack([points[:, :3], np.maximum(points[:, 3], config.range_std_m), place])
+    real = np.isfinite(table[..., 0])
+    late, really = packed(real & (table[..., 0] >= now[:, None] - 1))
+    last = np.take_along_axis(table, late[..., None], axis=1)[:, :, None]  # (B, Q, 1, 6)
+    every = np.where(real[..., None], table, 0.0)[:, None]  # (B, 1, P, 6)
+    last = np.where(really[:, :, None, None], last, 0.0)
+    moved = np.hypot(last[..., 4] - every[..., 4], last[..., 5] - every[..., 5])
+    reach = moved + 4.0 * np.hypot(last[..., 3], every[..., 3])
+    company = (np.abs(last[..., 2] - every[..., 2]) < reach) & (last[..., 1] == every[..., 1])
+    company &= real[:, None] & really[..., None]
+    return np.asarray(idle & np.any(company.sum(axis=-1) >= config.birth_support, axis=-1))
 
 
 def find_line(loose: Array, now: int, limit_db: Array, config: GaussianConfig) -> Line | None:

@@ -10,6 +10,7 @@ because RP is the origin and the wall stands half-way to its VRP ``v``.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,19 @@ from numpy.typing import NDArray
 from estimator.slam.layout import Layout
 from estimator.slam.virtual_anchors import VirtualAnchors
 
-__all__ = ["Prediction", "predict_azimuths", "predict_paths", "reflect", "wall_side"]
+__all__ = [
+    "Features",
+    "Prediction",
+    "every_feature",
+    "predict_azimuths",
+    "predict_paths",
+    "reflect",
+    "wall_side",
+]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Features = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,20 +42,40 @@ class Prediction:
     length_m : ndarray, shape (R, K, F)
         Path lengths; features ordered line of sight, walls or virtual anchors, pairs of walls
         ``1 + L + l * L + m``.
-    jacobian : ndarray, shape (R, K, F, n)
-        Derivatives by the state vector.
+    flat_m : ndarray, shape (R, K, F)
+        Their projections on the plan plus height: what is left without the clock bias.
     room : Room or VirtualAnchors
         The places that this follows from.
     """
 
     length_m: Array
-    jacobian: Array
+    flat_m: Array
     room: Room | VirtualAnchors
 
     @property
     def possible(self) -> NDArray[np.bool_]:
         """Whether the bounces are geometrically possible if the walls were infinite, (R, K, F)."""
         return self.room.possible()
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """Derivatives (R, K, F, n) of all lengths by the state vector."""
+        return self.derivatives(every_feature(len(self.length_m), self.room.layout))
+
+    def derivatives(self, feature: Features) -> Array:
+        """Derivatives (R, K, C, n) of the lengths of features ``feature`` (R, K, C)."""
+        layout = self.room.layout
+        length = np.take_along_axis(self.flat_m, feature, axis=2)
+        jacobian = self.room.pull_back(self.room.offset_of(feature) / length[..., None], feature)
+        for k in range(layout.anchors):
+            jacobian[:, k, :, layout.height2(k)] = 0.5 / length[:, k]
+            jacobian[:, k, :, layout.bias(k)] = 1.0
+        return jacobian
+
+
+def every_feature(rows: int, layout: Layout) -> Features:
+    """The numbers (R, K, F) of all features of all anchors."""
+    return np.broadcast_to(np.arange(layout.features), (rows, layout.anchors, layout.features))
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -90,7 +120,9 @@ class Room:
 
     def __init__(self, mean: Array, layout: Layout) -> None:
         rows, self.layout = len(mean), layout
-        devices = mean[:, layout.FIRST_ANCHOR : layout.walls.start].reshape(rows, -1, layout.PER_ANCHOR)
+        devices = mean[:, layout.FIRST_ANCHOR : layout.walls.start].reshape(
+            rows, layout.anchors, layout.PER_ANCHOR
+        )
         self.agent = mean[:, None, 0:2]  # (R, 1, 2)
         self.anchor, self.height2, self.bias = devices[..., 0:2], devices[..., 2], devices[..., 3]
         self._anchor = _plane(self.anchor)  # (R, K)
@@ -100,39 +132,50 @@ class Room:
         self._second, self._second_turn = wall[:, :, None, :], turn[:, :, None, :]  # of (l, m)
         self._image = wall - turn * self._anchor[:, :, None].conj()  # (R, K, L)
         self._double = self._second - self._second_turn * self._image[..., None].conj()  # (R, K, L, M)
+        flat = self._double.reshape(*self._anchor.shape, layout.pairs)
+        self._source = np.concatenate([self._anchor[:, :, None], self._image, flat], axis=2)
 
     def sources(self) -> Array:
         """The anchors and their images, (R, K, F, 2)."""
-        flat = self._double.reshape(*self._anchor.shape, -1)
-        return _vectors(np.concatenate([self._anchor[:, :, None], self._image, flat], axis=2))
+        return _vectors(self._source)
 
-    def pull_back(self, covector: Array) -> Array:
-        """Derivatives (R, K, F, n) of something that depends on agent minus source by ``covector``."""
+    def offset_of(self, feature: Features) -> Array:
+        """From the sources of the features ``feature`` (R, K, C) to the agent, (R, K, C, 2)."""
+        return self.agent[:, :, None] - _vectors(np.take_along_axis(self._source, feature, axis=2))
+
+    def pull_back(self, covector: Array, feature: Features) -> Array:
+        """Derivatives (R, K, C, n) of something of features ``feature`` (R, K, C).
+
+        It depends on agent minus source by ``covector`` (R, K, C, 2).
+        """
         layout, slots = self.layout, self.layout.slots
-        rows, anchors, features = covector.shape[:3]
-        plane = _plane(covector)
-        singles, doubles = plane[:, :, 1 : 1 + slots], plane[:, :, 1 + slots :]
-        doubles = doubles.reshape(rows, anchors, slots, slots)
-        before = -self._second_turn * doubles.conj()  # seen from between the two bounces
-        first, first_turn = self._wall[..., None], self._turn[..., None]
-        flipped = (-first_turn * before.conj()).reshape(rows, anchors, -1)
-        by_anchor = np.concatenate([plane[:, :, :1], -self._turn * singles.conj(), flipped], axis=2)
-        anchor = self._anchor[:, :, None]
-        by_wall = _vectors(-_by_wall(anchor, self._wall, self._turn, singles))
-        by_first = _vectors(-_by_wall(anchor[..., None], first, first_turn, before))
-        by_second = _vectors(-_by_wall(self._image[..., None], self._second, self._second_turn, doubles))
-        by_anchor = _vectors(-by_anchor)
-        jacobian = np.zeros((rows, anchors, features, layout.size))
+        jacobian = np.zeros((*feature.shape, layout.size))
         jacobian[..., 0:2] = covector
-        for k in range(anchors):
-            jacobian[:, k, :, layout.anchor_xy(k)] = by_anchor[:, k]
-        pairs = jacobian[:, :, 1 + slots :].reshape(rows, anchors, slots, slots, layout.size)
-        for slot in range(slots):
-            columns = layout.wall(slot)
-            jacobian[:, :, 1 + slot, columns] = by_wall[:, :, slot]
-            pairs[:, :, slot, :, columns] += by_first[:, :, slot, :]
-            pairs[:, :, :, slot, columns] += by_second[:, :, :, slot]
-        jacobian[:, :, 1 + slots :] = pairs.reshape(rows, anchors, slots**2, layout.size)
+        by_source = _plane(covector)
+        lines = jacobian.reshape(-1, layout.size)
+        row, anchor, _ = np.broadcast_arrays(*np.ogrid[: len(feature), : layout.anchors, : feature.shape[2]])
+
+        def through(chosen: NDArray[np.bool_], last: NDArray[np.int64], before: Complex) -> None:
+            """Bounce chosen features off their walls ``last``; ``before`` is the image before."""
+            r, direction = row[chosen], by_source[chosen]
+            wall, turn = self._wall[r, 0, last], self._turn[r, 0, last]
+            by_last = -_by_wall(before, wall, turn, direction)
+            by_source[chosen] = -turn * direction.conj()  # seen from before the bounce
+            line, column = np.flatnonzero(chosen), layout.walls.start + 2 * last
+            lines[line, column] += by_last.real
+            lines[line, column + 1] += by_last.imag
+
+        double, single = feature > slots, (feature > 0) & (feature <= slots)
+        if double.any():
+            first, second = np.divmod(feature[double] - 1 - slots, slots)
+            r, k = row[double], anchor[double]
+            through(double, second, self._image[r, k, first])
+            through(double, first, self._anchor[r, k])
+        if single.any():
+            through(single, feature[single] - 1, self._anchor[row[single], anchor[single]])
+        by_anchor = _vectors(-by_source)
+        for j in range(layout.anchors):
+            jacobian[:, j, :, layout.anchor_xy(j)] = by_anchor[:, j]
         return jacobian
 
     def possible(self) -> NDArray[np.bool_]:
@@ -153,7 +196,7 @@ class Room:
         pair &= ~np.eye(self.layout.slots, dtype=bool)
         direct = np.ones((rows, anchors, 1), dtype=bool)
         return np.concatenate(
-            [direct, agent_side * anchor_side > 0.0, pair.reshape(rows, anchors, -1)], axis=2
+            [direct, agent_side * anchor_side > 0.0, pair.reshape(rows, anchors, self.layout.pairs)], axis=2
         )
 
 
@@ -162,7 +205,7 @@ def _places(mean: Array, layout: Layout) -> Room | VirtualAnchors:
 
 
 def predict_paths(mean: Array, layout: Layout) -> Prediction:
-    """Path lengths, derivatives and geometric possibility of every feature.
+    """Path lengths, derivatives and geometric possibility of features.
 
     Parameters
     ----------
@@ -180,15 +223,11 @@ def predict_paths(mean: Array, layout: Layout) -> Prediction:
     offset = room.agent[:, :, None, :] - room.sources()
     square = _dot(offset, offset) + room.height2[:, :, None]
     length = np.sqrt(np.maximum(square, 1e-6))
-    jacobian = room.pull_back(offset / length[..., None])
-    for k in range(layout.anchors):
-        jacobian[:, k, :, layout.height2(k)] = 0.5 / length[:, k]
-        jacobian[:, k, :, layout.bias(k)] = 1.0
-    return Prediction(length + room.bias[:, :, None], jacobian, room)
+    return Prediction(length + room.bias[:, :, None], length, room)
 
 
-def predict_azimuths(mean: Array, layout: Layout) -> tuple[Array, Array]:
-    """Directions of arrival of every feature and their derivatives.
+def predict_azimuths(mean: Array, layout: Layout, feature: Features | None = None) -> tuple[Array, Array]:
+    """Directions of arrival of features and their derivatives.
 
     A path arrives from its source: the anchor, or its image. Angles are measured from
     the expected direction of the gauge frame's x axis, so that ``theta`` adds to them.
@@ -197,19 +236,22 @@ def predict_azimuths(mean: Array, layout: Layout) -> tuple[Array, Array]:
     ----------
     mean, layout
         As for :func:`predict_paths`.
+    feature : ndarray of int64, shape (R, K, C), optional
+        Which features of each anchor; by default all, in order.
 
     Returns
     -------
-    azimuth : ndarray, shape (R, K, F)
+    azimuth : ndarray, shape (R, K, C)
         Radians, not wrapped.
-    jacobian : ndarray, shape (R, K, F, n)
+    jacobian : ndarray, shape (R, K, C, n)
         Derivatives by the state vector.
     """
     room = _places(mean, layout)
-    offset = room.agent[:, :, None, :] - room.sources()
-    square = np.maximum(np.sum(offset * offset, axis=-1, keepdims=True), 1e-6)
+    feature = every_feature(len(mean), layout) if feature is None else feature
+    offset = room.offset_of(feature)
+    square = np.maximum(_dot(offset, offset), 1e-6)[..., None]
     azimuth = np.arctan2(-offset[..., 1], -offset[..., 0]) + mean[:, None, None, layout.THETA]
     across = np.stack([-offset[..., 1], offset[..., 0]], axis=-1) / square
-    jacobian = room.pull_back(across)
+    jacobian = room.pull_back(across, feature)
     jacobian[..., layout.THETA] = 1.0
     return azimuth, jacobian

@@ -12,24 +12,25 @@ batch of one.
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import InputError
 from estimator.measurements import Epoch
-from estimator.slam.births import find_line, wall_bank
+from estimator.slam.births import find_line, may_bear, wall_bank
 from estimator.slam.config import GaussianConfig
 from estimator.slam.hindsight import look_back
-from estimator.slam.hypotheses import moments, tidy
+from estimator.slam.hypotheses import moments, tidy_pool
+from estimator.slam.layout import Layout
 from estimator.slam.levels import learn_levels, loss_limits
-from estimator.slam.locate import locate_anchors
+from estimator.slam.locate import locate_anchors, may_locate
 from estimator.slam.memory import clutter_density, remember, widen_spans, widen_stretches
 from estimator.slam.motion import predict_motion
-from estimator.slam.paths import PathTable, pool_paths, stack_paths
-from estimator.slam.pool import Pool, active_of
-from estimator.slam.slots import judge, open_slot
+from estimator.slam.paths import PathTable, pool_paths
+from estimator.slam.pool import Pool, active_of, pending_of
+from estimator.slam.slots import judge, open_slot, retire
 from estimator.slam.state import GaussianState, Rows, log_sum_exp
 from estimator.slam.sweeps import take_sweep
 from estimator.slam.update import correct
@@ -106,20 +107,19 @@ def step_many(
         raise InputError(f"epochs: expected one for each of {len(states)} states, got {len(epochs)}")
     for state, epoch in zip(states, epochs, strict=True):
         _check(state, epoch)
-    paths = [stack_paths(epoch, state.carrier_hz) for state, epoch in zip(states, epochs, strict=True)]
     groups: dict[tuple[bool, *tuple[Hashable, ...]], list[int]] = {}
     for i, (state, epoch) in enumerate(zip(states, epochs, strict=True)):
         passed = None if state.epoch < 0 else epoch.time_s - state.time_s
         first = len(state.trail) < _FIRST_EPOCHS
         alone = i if len(state.rows) > _MANY_ROWS else -1
-        key = (first, alone, state.layout, passed, paths[i].azimuth_rad is None, paths[i].heading_held)
+        angles = any(paths.azimuth_rad is not None for paths in epoch.paths)
+        key = (first, alone, state.layout, passed, angles, epoch.heading_held)
         groups.setdefault(key, []).append(i)
     result = list(states)
     for (first, *_), members in groups.items():
         group = _step_alike(
             [states[i] for i in members],
             [epochs[i] for i in members],
-            [paths[i] for i in members],
             config.widened() if first else config,
         )
         for i, state in zip(members, group, strict=True):
@@ -141,25 +141,64 @@ def _check(state: GaussianState, epoch: Epoch) -> None:
 
 
 def _step_alike(
-    states: list[GaussianState], epochs: list[Epoch], paths: list[PathTable], config: GaussianConfig
+    states: list[GaussianState], epochs: list[Epoch], config: GaussianConfig
 ) -> list[GaussianState]:
     """Runs with one layout, the same time since their last epoch and the same kind of measurements."""
     pool = Pool.of(states)
+    paths = pool_paths(epochs, [state.carrier_hz for state in states])
     if states[0].epoch >= 0:
         pool = Pool(_predict(pool.rows, epochs[0].time_s - states[0].time_s, config), pool.count)
+    told = _correct(states, pool, paths, config)
     states = [
-        replace(state, epoch=epoch.index, time_s=epoch.time_s, rows=rows)
-        for state, epoch, rows in zip(states, epochs, pool.apart(), strict=True)
+        replace(
+            state,
+            epoch=epoch.index,
+            time_s=epoch.time_s,
+            rows=rows,
+            log_evidence=state.log_evidence + gained,
+            slots=replace(state.slots, span_m=span, heard_from_m=stretch),
+        )
+        for state, epoch, rows, gained, span, stretch in zip(
+            states,
+            epochs,
+            told.pool.apart(),
+            told.log_evidence.tolist(),
+            told.span_m,
+            told.heard_from_m,
+            strict=True,
+        )
     ]
-    states, explained = _correct(states, pool, paths, config)
-    for i, (state, epoch) in enumerate(zip(states, epochs, strict=True)):
-        swept = take_sweep(state, epoch.sweep, epoch.heading_held, config) if state.shared else state
-        states[i] = locate_anchors(swept, paths[i], config)
-    states = remember(states, paths, explained, config)
+    corrected = list(states)
+    for i, epoch in enumerate(epochs):
+        if epoch.sweep and states[i].shared:
+            states[i] = take_sweep(states[i], epoch.sweep, epoch.heading_held, config)
+        if may_locate(states[i]):
+            states[i] = locate_anchors(states[i], paths.of_run(i), config)
+    states = remember(states, _pooled(states, corrected, told.pool), paths, told.explained, config)
+    if states[0].shared:
+        states = [learn_levels(state, config) for state in states]
+        for i in np.flatnonzero(may_bear(states, config)).tolist():
+            states[i] = _bear(states[i], config)
+    else:
+        states = [bear_virtual_anchors(state, config) for state in states]
+    groups: dict[Layout, list[int]] = {}
     for i, state in enumerate(states):
-        born = _bear(state, config) if state.shared else bear_virtual_anchors(state, config)
-        states[i] = judge(replace(born, rows=tidy(born.rows, config)), config)
+        groups.setdefault(state.layout, []).append(i)
+    for members in groups.values():  # a new wall has changed the layout of some
+        every = len(members) == len(states)
+        group = [states[i] for i in members]
+        pool = tidy_pool(_pooled(group, corrected if every else [], told.pool), config)
+        pending = pending_of(group).tolist()
+        for i, state, rows, waits in zip(members, group, pool.apart(), pending, strict=True):
+            tidied = replace(state, rows=rows)
+            states[i] = retire(judge(tidied, config) if waits else tidied, config)
     return states
+
+
+def _pooled(states: list[GaussianState], before: list[GaussianState], pool: Pool) -> Pool:
+    """The rows of states: ``pool``, if they are still those of the states ``before`` that it was made of."""
+    same = len(states) == len(before) and all(a.rows is b.rows for a, b in zip(states, before, strict=True))
+    return pool if same else Pool.of(states)
 
 
 def _predict(rows: Rows, step_s: float, config: GaussianConfig) -> Rows:
@@ -170,74 +209,83 @@ def _predict(rows: Rows, step_s: float, config: GaussianConfig) -> Rows:
     return replace(rows, mean=mean, covariance=covariance, visibility=visibility)
 
 
-def _correct(
-    states: list[GaussianState], pool: Pool, tables: list[PathTable], config: GaussianConfig
-) -> tuple[list[GaussianState], list[Array]]:
-    """Associate and update all rows; also how far the best row of each run explains its paths, (K, M)."""
-    explained = [np.zeros(table.length_m.shape) for table in tables]
-    heard_any = np.flatnonzero([state.rows.located.any() for state in states]).tolist()
-    if not heard_any:
-        return states, explained
-    if len(heard_any) < len(states):  # runs without any anchor wait
-        some, theirs = [states[i] for i in heard_any], [tables[i] for i in heard_any]
-        some, known = _correct(some, Pool.of(some), theirs, config)
-        for i, state, each in zip(heard_any, some, known, strict=True):
-            states[i], explained[i] = state, each
-        return states, explained
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """What the paths of an epoch do to B runs.
+
+    Parameters
+    ----------
+    pool : Pool
+        The corrected rows.
+    log_evidence : ndarray, shape (B,)
+        Log evidence of the paths.
+    span_m : ndarray, shape (B, L, 2)
+        Spans of the walls.
+    heard_from_m : ndarray, shape (B, L, K, 2, 2)
+        Where the walls were heard first and last.
+    explained : ndarray, shape (B, K, M)
+        How far the best row of each run explains each path.
+    """
+
+    pool: Pool
+    log_evidence: Array
+    span_m: Array
+    heard_from_m: Array
+    explained: Array
+
+
+def _correct(states: list[GaussianState], pool: Pool, paths: PathTable, config: GaussianConfig) -> _Told:
+    """Associate and update all rows; those of runs without any anchor wait."""
     layout, rows = states[0].layout, pool.rows
-    paths = pool_paths(
-        [table.turned(-state.bearing_rad) for table, state in zip(tables, states, strict=True)]
-    ).of_rows(pool.run)
-    clutter = np.array([clutter_density(state, config) for state in states])[pool.run]
+    spans = np.array([state.slots.span_m for state in states])
+    stretches = np.array([state.slots.heard_from_m for state in states])
+    ready = np.flatnonzero(np.logical_or.reduceat(rows.located.any(axis=1), pool.begin))
+    if ready.size < len(states):
+        evidence, explained = np.zeros(len(states)), np.zeros(paths.length_m.shape)
+        if ready.size:
+            parts = pool.apart()
+            some = Pool.joined([parts[i] for i in ready.tolist()])
+            told = _correct([states[i] for i in ready.tolist()], some, paths.of_rows(ready), config)
+            for i, part in zip(ready.tolist(), told.pool.apart(), strict=True):
+                parts[i] = part
+            pool = Pool.joined(parts)
+            evidence[ready], explained[ready] = told.log_evidence, told.explained
+            spans[ready], stretches[ready] = told.span_m, told.heard_from_m
+        return _Told(pool, evidence, spans, stretches, explained)
+    table = paths.turned([-state.bearing_rad for state in states]).of_rows(pool.run)
+    clutter = clutter_density(states, config)[pool.run]
     active = active_of(pool, states, layout)
     done = correct(
-        rows.mean, rows.covariance, rows.visibility, active, paths, layout, config, clutter, pool.run
+        rows.mean, rows.covariance, rows.visibility, active, table, layout, config, clutter, pool.run
     )
     expected = rows.visibility[done.parent]
-    rows = rows.take(done.parent)
-    weight = rows.log_weight + done.log_evidence
+    weight = rows.log_weight[done.parent] + done.log_evidence
     if not layout.shared:
-        weight -= config.virtual_forgetting * rows.log_weight
+        weight -= config.virtual_forgetting * rows.log_weight[done.parent]
         of = done.parent
-        weight += shorter_than_sight(done, paths.of_rows(of), layout, config, clutter[of])
-    pool = Pool(rows, np.bincount(pool.run[done.parent], minlength=len(states)))
-    evidence = pool.log_sum_exp(weight)
+        weight += shorter_than_sight(done, table.of_rows(of), layout, config, clutter[of])
     heard = np.any(done.heard[:, :, 1 : 1 + layout.slots] > 0.5, axis=1)
-    rows = replace(
-        rows,
+    rows = Rows(
+        log_weight=weight,
         mean=done.mean,
         covariance=done.covariance,
+        located=rows.located[done.parent],
+        present=rows.present[done.parent],
         visibility=done.visibility,
-        support=rows.support + heard,
-        log_weight=weight - evidence[pool.run],
+        support=rows.support[done.parent] + heard,
     )
-    pool = Pool(rows, pool.count)
+    pool = Pool(rows, np.bincount(pool.run[done.parent], minlength=len(states)))
+    evidence = pool.log_sum_exp(weight)
+    rows.log_weight[...] -= evidence[pool.run]
     best = pool.best()
     again = np.where(expected[best] > _EXPECTED, done.heard[best], 0.0)
-    spans = np.array([state.slots.span_m for state in states])
     spans = widen_spans(spans, rows.mean[best], again, layout)
-    stretches = np.array([state.slots.heard_from_m for state in states])
     stretches = widen_stretches(stretches, rows.mean[best], again, layout)
-    after = [
-        replace(
-            state,
-            rows=own,
-            log_evidence=state.log_evidence + float(gained),
-            slots=replace(state.slots, span_m=span, heard_from_m=stretch),
-        )
-        for state, own, gained, span, stretch in zip(
-            states, pool.apart(), evidence, spans, stretches, strict=True
-        )
-    ]
-    shares = done.explained[best]
-    return after, [each[:, : t.length_m.shape[1]] for each, t in zip(shares, tables, strict=True)]
+    return _Told(pool, evidence, spans, stretches, done.explained[best])
 
 
 def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:
     """Start a wall where recent unexplained paths ask for one; one wall at a time."""
-    state = learn_levels(state, config)
-    if state.slots.pending.size:
-        return state
     limit = loss_limits(state, config)
     line = find_line(state.loose, state.epoch, limit, config)
     if line is None or not _settled(state, line.anchor):

@@ -6,13 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.config import GaussianConfig
+from estimator.slam.pool import Pool
 from estimator.slam.state import Rows, log_sum_exp
 
-__all__ = ["moments", "tidy"]
+__all__ = ["moments", "tidy", "tidy_pool"]
 
 Array = NDArray[np.float64]
-_FEW = 16  # rows, of which all pairs are compared at once
+_FEW = 16  # rows of a run, of which all pairs are compared at once
 _ALIKE_SIGMA = 0.7  # rows closer than this in every coordinate become one
+_INFLATION = 0.02  # of the variance, by an unlikely row
+_UNLIKELY_SIGMA = 2.0  # and than this, however unlikely one of them
 
 
 def moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
@@ -25,27 +28,65 @@ def moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array
 
 def tidy(rows: Rows, config: GaussianConfig) -> Rows:
     """Normalised rows, likeliest first: the unlikely dropped, the alike merged, the rest capped."""
-    weight = rows.log_weight - log_sum_exp(rows.log_weight)
-    order = np.argsort(-weight, kind="stable")
-    order = order[weight[order] > weight[order[0]] - config.prune_nats]
-    merged = _merge(rows.take(order))
-    order = np.argsort(-merged.log_weight, kind="stable")[: config.max_hypotheses]
-    return merged.take(order).keep(np.ones(order.size, dtype=bool))
+    return tidy_pool(Pool(rows, np.array([len(rows)])), config).rows
 
 
-def _any_alike(mean: Array, std: Array) -> bool:
-    """Whether the means (R, n) of any two rows are closer than their standard deviations allow."""
-    a, b = np.triu_indices(len(mean), 1)
-    return bool(np.any(np.all(np.abs(mean[a] - mean[b]) < _ALIKE_SIGMA * np.minimum(std[a], std[b]), axis=1)))
+def tidy_pool(pool: Pool, config: GaussianConfig) -> Pool:
+    """:func:`tidy` of each run of a pool."""
+    pool, most = _ordered(pool, config), config.max_hypotheses
+    needy = _with_alike(pool) if pool.count.max() > 1 else np.empty(0, dtype=np.int64)
+    if needy.size:
+        parts = pool.apart()
+        for i in needy.tolist():
+            parts[i] = _merge(parts[i])
+        pool = _ordered(Pool.joined(parts), config)
+    if pool.count.max() > most:
+        pool = pool.take(np.flatnonzero(pool.rank < most))
+    pool.rows.log_weight[...] -= pool.log_sum_exp(pool.rows.log_weight)[pool.run]
+    return pool
+
+
+def _ordered(pool: Pool, config: GaussianConfig) -> Pool:
+    """The rows of each run, likeliest first, the unlikely dropped."""
+    if pool.count.max() == 1:
+        return pool.take(np.arange(len(pool.rows)))
+    weight, run = pool.rows.log_weight, pool.run
+    order = np.lexsort((-weight, run))
+    least = np.maximum.reduceat(weight, pool.begin) - config.prune_nats
+    return pool.take(order[weight[order] > least[run]])
+
+
+def _with_alike(pool: Pool) -> NDArray[np.int64]:
+    """Runs with two rows that :func:`_merge` might make one; those of many rows are not asked."""
+    rank, run = pool.rank, pool.run
+    rank = np.where((pool.count <= _FEW)[run], rank, 0)
+    b = np.repeat(np.arange(len(rank)), rank)
+    a = b - 1 - np.arange(b.size) + np.repeat(np.cumsum(rank) - rank, rank)  # every row before b in its run
+    mean, covariance = pool.rows.mean, pool.rows.covariance
+    std = _std(covariance)
+    limit = _alike(pool.rows.log_weight[b] - pool.rows.log_weight[a])
+    near = np.abs(mean[a] - mean[b]) < limit[:, None] * np.minimum(std[a], std[b])
+    return np.unique(np.concatenate([run[a[near.all(axis=1)]], np.flatnonzero(pool.count > _FEW)]))
+
+
+def _alike(log_ratio: Array) -> Array:
+    """How many standard deviations apart rows are the same, given the log ratio of their weights.
+
+    What merging adds to the variance is the offset squared times the smaller share of the weight: an
+    unlikely row may stand farther off.
+    """
+    share = 1.0 / (1.0 + np.exp(-np.minimum(log_ratio, 0.0)))
+    return np.clip(np.sqrt(_INFLATION / share), _ALIKE_SIGMA, _UNLIKELY_SIGMA)
+
+
+def _std(covariance: Array) -> Array:
+    """Standard deviations (R, n), a millimetre and more: what is known exactly may differ by rounding."""
+    return np.asarray(np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)) + 1e-3)
 
 
 def _merge(rows: Rows) -> Rows:
     """Rows (descending weight) that differ by less than their own uncertainty become one."""
-    if len(rows) == 1:
-        return rows
-    std = np.sqrt(np.maximum(np.diagonal(rows.covariance, axis1=1, axis2=2), 0.0)) + 1e-3
-    if len(rows) <= _FEW and not _any_alike(rows.mean, std):
-        return rows
+    std = _std(rows.covariance)
     free = np.ones(len(rows), dtype=bool)
     kind = _kinds(rows)
     kept: list[int] = []
@@ -57,7 +98,7 @@ def _merge(rows: Rows) -> Rows:
         group = np.flatnonzero(free & (kind == kind[i]))
         if group.size == 0:
             continue
-        limit = _ALIKE_SIGMA * np.minimum(std[i], std[group])
+        limit = _alike(rows.log_weight[group] - rows.log_weight[i])[:, None] * np.minimum(std[i], std[group])
         group = group[(np.abs(rows.mean[group] - rows.mean[i]) < limit).all(axis=1)]
         if group.size == 0:
             continue

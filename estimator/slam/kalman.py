@@ -18,6 +18,7 @@ def kalman(
     innovation: Array,
     variance: Array,
     shared: Array | None = None,
+    cross: Array | None = None,
 ) -> tuple[Array, Array, Array]:
     """Joint Kalman update of rows; also the log density of the innovations.
 
@@ -25,19 +26,21 @@ def kalman(
     variance (R, m). A measurement a row does not use has a zero jacobian row and
     innovation and a variance of ``1 / (2 pi)``, so that it adds nothing at all.
     ``shared`` (R, m), if given, is an error all measurements have in common: its standard
-    deviation in each of them.
+    deviation in each of them. ``cross`` (R, m, n) is ``jacobian @ covariance``, if it is known.
     """
-    cross = jacobian @ covariance  # (R, m, n)
+    cross = jacobian @ covariance if cross is None else cross
     size = innovation.shape[1]
     s = cross @ jacobian.transpose(0, 2, 1)
     s[:, np.arange(size), np.arange(size)] += variance
     if shared is not None:
         s += shared[:, :, None] * shared[:, None, :]
-    right = np.concatenate([cross, innovation[..., None]], axis=2)
-    solved = np.linalg.solve(s, right)
-    mean = mean + np.einsum("rmn,rm->rn", cross, solved[..., -1])
-    covariance = covariance - cross.transpose(0, 2, 1) @ solved[..., :-1]
+    root = np.linalg.cholesky(s)
+    whiten = np.linalg.inv(root)
+    gain = whiten @ cross  # (R, m, n)
+    white = np.einsum("rij,rj->ri", whiten, innovation)
+    mean = mean + np.einsum("rmn,rm->rn", gain, white)
+    covariance = covariance - gain.transpose(0, 2, 1) @ gain
     covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-    _, log_determinant = np.linalg.slogdet(s)
-    distance = np.sum(innovation * solved[..., -1], axis=1)
+    log_determinant = 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+    distance = np.sum(white**2, axis=1)
     return mean, covariance, -0.5 * (log_determinant + distance + size * _LOG_2PI)

@@ -25,7 +25,7 @@ from estimator.slam.paths import PathTable
 from estimator.slam.slots import fresh_visibility
 from estimator.slam.state import GaussianState, Rows, log_sum_exp
 
-__all__ = ["locate_anchors"]
+__all__ = ["locate_anchors", "may_locate"]
 
 Array = NDArray[np.float64]
 _BIAS_STEP_M = 1.0  # spacing of the clock biases that are tried
@@ -37,6 +37,13 @@ _RECHECK = 8  # epochs between doubts of a located anchor
 _RIVAL_LOG_PRIOR = -3.0  # log odds that a located anchor is elsewhere after all
 _KNOWN_M2 = 1e-12  # variance of an anchor known from the start, left by rounding where rows were merged
 _PRIOR_STD_M = 10.0  # of an anchor started from one epoch, whose paths all enter the joint Gaussian
+
+
+def may_locate(state: GaussianState) -> bool:
+    """Whether :func:`locate_anchors` has anything to look at in this epoch."""
+    if len(state.trail) < _STRIDE or state.epoch % _RECHECK == 0:
+        return True
+    return state.epoch % _STRIDE == 0 and not state.rows.located.all()
 
 
 def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfig) -> GaussianState:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths, reflect, wall_side
 from estimator.slam.layout import Layout
+from estimator.slam.packing import packed
 from estimator.slam.paths import PathTable
 from estimator.slam.pool import Pool, active_of
 from estimator.slam.state import GaussianState
-from estimator.slam.update import predicted_variance
 
 __all__ = ["clutter_density", "remember", "widen_spans", "widen_stretches"]
 
@@ -23,19 +23,31 @@ Array = NDArray[np.float64]
 _FLOOD = 200  # paths of one anchor in one epoch
 _UNKNOWN_PATHS = 6.0  # expected of an anchor beyond clutter, before any wall is known
 _PRIOR_EPOCHS = 4.0  # that this expectation weighs
+_FARTHEST_M = 3.0  # beside a feature, however badly it is known
 
 
-def clutter_density(state: GaussianState, config: GaussianConfig) -> Array:
-    """Intensity (K,) per metre of paths that no known feature gives: clutter, and walls not yet found.
+def clutter_density(states: Sequence[GaussianState], config: GaussianConfig) -> Array:
+    """Intensity (B, K) per metre of paths that no known feature gives: clutter, and walls not yet found.
 
-    Recent epochs tell how many there are. With no wall on the map, most paths are such; they
-    must not be taken for the line of sight.
+    Recent epochs of each of the runs (of K anchors) tell how many there are. With no wall on the map,
+    most paths are such; they must not be taken for the line of sight.
     """
-    expected = config.clutter_mean + (0.0 if state.slots.confirmed.any() else _UNKNOWN_PATHS)
-    epochs = len(state.trail)
-    counts = np.bincount(state.loose[:, 1].astype(np.int64), minlength=state.layout.anchors)
+    runs, anchors = len(states), len(states[0].anchor_names)
+    blind = np.array([not state.slots.confirmed.any() for state in states])
+    epochs = np.array([len(state.trail) for state in states])[:, None]
+    heard, run = _heard(states)
+    loose = heard[:, 5] == 1.0
+    at = run[loose] * anchors + heard[loose, 1].astype(np.int64)
+    counts = np.bincount(at, minlength=runs * anchors).reshape(runs, anchors)
+    expected = config.clutter_mean + np.where(blind, _UNKNOWN_PATHS, 0.0)[:, None]
     rate = (counts + _PRIOR_EPOCHS * expected) / (epochs + _PRIOR_EPOCHS)
     return np.asarray(np.maximum(rate, config.clutter_mean) / config.region_m + 1e-12)
+
+
+def _heard(states: Sequence[GaussianState]) -> tuple[Array, NDArray[np.int64]]:
+    """The remembered paths (N, 6) of all runs, and the run (N,) of each."""
+    counts = [len(state.heard) for state in states]
+    return np.concatenate([state.heard for state in states]), np.repeat(np.arange(len(states)), counts)
 
 
 def widen_spans(span_m: Array, mean: Array, heard: Array, layout: Layout) -> Array:
@@ -88,10 +100,7 @@ def widen_stretches(heard_from_m: Array, mean: Array, heard: Array, layout: Layo
 
 
 def remember(
-    states: Sequence[GaussianState],
-    paths: Sequence[PathTable],
-    explained: Sequence[Array],
-    config: GaussianConfig,
+    states: Sequence[GaussianState], pool: Pool, paths: PathTable, explained: Array, config: GaussianConfig
 ) -> list[GaussianState]:
     """Note where the agents of runs with one layout are and what nothing explains.
 
@@ -103,34 +112,65 @@ def remember(
     Parameters
     ----------
     states : sequence of GaussianState
-        States with corrected rows.
-    paths : sequence of PathTable
-        The epoch's paths of each.
-    explained : sequence of ndarray, shapes (K, M)
-        Probability that the best row explains each path.
+        States with corrected rows, B runs.
+    pool : Pool
+        Their rows.
+    paths : PathTable
+        The epoch's paths (B, K, M).
+    explained : ndarray, shape (B, K, M)
+        Probability that the best row of each run explains each path.
     config : GaussianConfig
         ``pair_radius_m`` and the windows.
     """
     layout = states[0].layout
-    pool = Pool.of_best(states)
+    best = pool.best()
+    pool = Pool(pool.rows.take(best), np.ones(len(states), dtype=np.int64))
     mean, covariance = pool.rows.mean, pool.rows.covariance
     std = np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1]))
-    prediction = predict_paths(mean, layout)
-    spread = predicted_variance(prediction, covariance)
-    beside = config.pair_radius_m if layout.shared else 2.0 * config.range_std_m
-    radius = np.minimum(beside + 2.0 * np.sqrt(spread), 3.0)
-    radius = np.where(active_of(pool, states, layout) & prediction.possible, radius, 0.0)
+    taken = pool.rows.located[..., None] & (explained > 0.3)
+    taken |= _beside_known(pool, active_of(pool, states, layout), paths, paths.valid & ~taken, layout, config)
+    flood = np.sum(paths.valid, axis=2) > _FLOOD
+    run, k, j = np.nonzero(paths.valid & ~flood[..., None])
+    now = np.array([state.epoch for state in states])
+    at = (run, k, j)
+    columns = (paths.length_m[at], paths.std_m[at], paths.excess_loss_db[at], ~taken[at])
+    old, runs = _heard(states)
+    heard = np.concatenate([old, np.stack([now[run], k, *columns], axis=1)])
+    runs = np.concatenate([runs, run])
     window = config.birth_window if layout.shared else config.virtual_window
+    oldest = now - max(window, config.start_window)
+    order = np.argsort(runs, kind="stable")
+    order = order[heard[order, 0] > oldest[runs[order]]]
+    ends = np.cumsum(np.bincount(runs[order], minlength=len(states))).tolist()
+    heard = heard[order]
     after = []
-    for b, (state, table, known) in enumerate(zip(states, paths, explained, strict=True)):
-        trail = np.concatenate([state.trail, [[state.epoch, mean[b, 0], mean[b, 1], std[b]]]])
-        distance = np.abs(table.length_m[:, None, :] - prediction.length_m[b][..., None])
-        near = np.any(distance < radius[b][..., None], axis=1)
-        taken = pool.rows.located[b][:, None] & (near | (known > 0.3))
-        flood = np.sum(table.valid, axis=1) > _FLOOD
-        k, j = np.nonzero(table.valid & ~flood[:, None])
-        columns = (table.length_m[k, j], table.std_m[k, j], table.excess_loss_db[k, j], ~taken[k, j])
-        heard = np.concatenate([state.heard, np.stack([np.full(k.size, state.epoch), k, *columns], axis=1)])
-        oldest = state.epoch - max(window, config.start_window)
-        after.append(replace(state, trail=trail[trail[:, 0] > oldest], heard=heard[heard[:, 0] > oldest]))
+    for b, (state, begin, end) in enumerate(zip(states, [0, *ends], ends, strict=False)):
+        trail = state.trail[np.searchsorted(state.trail[:, 0], oldest[b], side="right") :]
+        trail = np.concatenate([trail, [[now[b], mean[b, 0], mean[b, 1], std[b]]]])
+        after.append(replace(state, trail=trail, heard=heard[begin:end]))
     return after
+
+
+def _beside_known(
+    pool: Pool,
+    active: NDArray[np.bool_],
+    paths: PathTable,
+    asked: NDArray[np.bool_],
+    layout: Layout,
+    config: GaussianConfig,
+) -> NDArray[np.bool_]:
+    """Which of the paths ``asked`` (B, K, M) lie close to where a feature of a run's row could be heard."""
+    prediction = predict_paths(pool.rows.mean, layout)
+    beside = config.pair_radius_m if layout.shared else 2.0 * config.range_std_m
+    gap = np.abs(paths.length_m[:, :, None, :] - prediction.length_m[..., None])  # (B, K, F, M)
+    may = (gap < _FARTHEST_M) & asked[:, :, None, :] & (active & prediction.possible)[..., None]
+    sure = np.any(may & (gap < beside), axis=2)
+    doubt = np.any(may & ~sure[:, :, None, :], axis=-1)
+    if not doubt.any():
+        return np.asarray(sure)
+    feature, real = packed(doubt)
+    jacobian = prediction.derivatives(feature).reshape(len(feature), -1, layout.size)
+    spread = np.sum((jacobian @ pool.rows.covariance) * jacobian, axis=-1).reshape(feature.shape)
+    radius = np.where(real, np.minimum(beside + 2.0 * np.sqrt(spread), _FARTHEST_M), 0.0)
+    gap = np.take_along_axis(gap, feature[..., None], axis=2)
+    return np.asarray(sure | (asked & np.any(gap < radius[..., None], axis=2)))

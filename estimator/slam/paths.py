@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from estimator.measurements import Epoch
-from estimator.waveform import free_space_loss_db
+from estimator.waveform import SPEED_OF_LIGHT_M_S, free_space_loss_db
 
 __all__ = ["PathTable", "pool_paths", "stack_paths"]
 
@@ -52,58 +52,53 @@ class PathTable:
         """The table of the rows at ``index``; itself if one entry stands for all."""
         return self if len(self.length_m) == 1 else self._each(lambda column: column[index])
 
+    def of_run(self, run: int) -> PathTable:
+        """The table (K, M) of one of several runs."""
+        return self._each(lambda column: column[run])
+
     def _each(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> PathTable:
         columns: dict[str, Any] = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         changed = {name: change(each) for name, each in columns.items() if isinstance(each, np.ndarray)}
         return PathTable(**{**columns, **changed})
 
-    def turned(self, angle_rad: float) -> PathTable:
-        """The same paths in axes turned so that azimuths grow by ``angle_rad``."""
+    def turned(self, angle_rad: ArrayLike) -> PathTable:
+        """The same paths in axes turned so that azimuths grow by ``angle_rad``, one or one of each run."""
         if self.azimuth_rad is None:
             return self
-        return replace(self, azimuth_rad=self.azimuth_rad + angle_rad)
+        angle = np.asarray(angle_rad)
+        return replace(self, azimuth_rad=self.azimuth_rad + (angle[:, None, None] if angle.ndim else angle))
 
 
 def stack_paths(epoch: Epoch, carrier_hz: float) -> PathTable:
-    """The paths of an epoch in one table."""
-    shape = (len(epoch.paths), max((len(paths) for paths in epoch.paths), default=0) or 1)
-    length, std, loss = np.ones(shape), np.ones(shape), np.full(shape, np.nan)
-    valid = np.zeros(shape, dtype=bool)
-    for k, paths in enumerate(epoch.paths):
-        n = len(paths)
-        length[k, :n], std[k, :n], valid[k, :n] = paths.range_m, paths.range_std_m, True
-        if paths.gain_db is not None:
-            loss[k, :n] = -paths.gain_db - free_space_loss_db(paths.range_m, carrier_hz)
-    if all(paths.azimuth_rad is None for paths in epoch.paths):
-        return PathTable(length, std, loss, valid)
-    azimuth, azimuth_std = np.zeros(shape), np.full(shape, np.inf)
-    for k, paths in enumerate(epoch.paths):
-        if paths.azimuth_rad is not None and paths.azimuth_std_rad is not None:
-            azimuth[k, : len(paths)], azimuth_std[k, : len(paths)] = paths.azimuth_rad, paths.azimuth_std_rad
-    return PathTable(length, std, loss, valid, azimuth, azimuth_std, epoch.heading_held)
+    """The paths of an epoch in one table (K, M)."""
+    return pool_paths([epoch], [carrier_hz]).of_run(0)
 
 
-def pool_paths(tables: Sequence[PathTable]) -> PathTable:
-    """Tables (K, M) of several runs as one (B, K, M), padded to the most paths.
+def pool_paths(epochs: Sequence[Epoch], carriers_hz: Sequence[float]) -> PathTable:
+    """The paths of an epoch of each of B runs in one table (B, K, M), padded to the most paths.
 
-    All of them or none have azimuths, with the same knowledge of the heading.
+    All epochs have the same number of anchors and the same knowledge of the heading.
     """
-    most = max(table.length_m.shape[1] for table in tables)
+    every = [paths for epoch in epochs for paths in epoch.paths]
+    counts = np.array([len(paths) for paths in every]).reshape(len(epochs), -1)
+    valid = np.arange(max(int(counts.max(initial=0)), 1)) < counts[..., None]
 
-    def stacked(name: str, empty: float) -> NDArray[Any]:
-        columns = [getattr(table, name) for table in tables]
-        result = np.full((len(tables), len(columns[0]), most), empty, dtype=columns[0].dtype)
-        for row, column in zip(result, columns, strict=True):
-            row[:, : column.shape[1]] = column
+    def table(columns: list[Array | None], empty: float) -> Array:
+        result = np.full(valid.shape, empty)
+        given = [np.full(len(p), empty) if c is None else c for c, p in zip(columns, every, strict=True)]
+        result[valid] = np.concatenate(given)
         return result
 
-    first = tables[0]
-    return PathTable(
-        stacked("length_m", 1.0),
-        stacked("std_m", 1.0),
-        stacked("excess_loss_db", np.nan),
-        stacked("valid", 0.0),
-        None if first.azimuth_rad is None else stacked("azimuth_rad", 0.0),
-        None if first.azimuth_std_rad is None else stacked("azimuth_std_rad", np.inf),
-        first.heading_held,
-    )
+    length = table([paths.delay_s for paths in every], 1.0 / SPEED_OF_LIGHT_M_S) * SPEED_OF_LIGHT_M_S
+    std = table([paths.delay_std_s for paths in every], 1.0 / SPEED_OF_LIGHT_M_S) * SPEED_OF_LIGHT_M_S
+    loss = np.full(valid.shape, np.nan)
+    if any(paths.gain_db is not None for paths in every):
+        carrier = np.broadcast_to(np.asarray(carriers_hz)[:, None, None], valid.shape)
+        gain = table([paths.gain_db for paths in every], np.nan)
+        loss[valid] = -gain[valid] - free_space_loss_db(length[valid], carrier[valid])
+    held = epochs[0].heading_held
+    if all(paths.azimuth_rad is None for paths in every):
+        return PathTable(length, std, loss, valid, heading_held=held)
+    azimuth = table([paths.azimuth_rad for paths in every], 0.0)
+    azimuth_std = table([paths.azimuth_std_rad for paths in every], np.inf)
+    return PathTable(length, std, loss, valid, azimuth, azimuth_std, held)

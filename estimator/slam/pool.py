@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from estimator.slam.layout import Layout
 from estimator.slam.state import GaussianState, Rows, active_features
 
-__all__ = ["Pool", "active_of"]
+__all__ = ["Pool", "active_of", "pending_of"]
 
 Array = NDArray[np.float64]
 
@@ -38,7 +39,11 @@ class Pool:
     @classmethod
     def of(cls, states: Sequence[GaussianState]) -> Pool:
         """The rows of states with one layout."""
-        rows = [state.rows for state in states]
+        return cls.joined([state.rows for state in states])
+
+    @classmethod
+    def joined(cls, rows: Sequence[Rows]) -> Pool:
+        """The rows of runs with one layout."""
         count = np.array([len(each) for each in rows])
         if len(rows) == 1:
             return cls(rows[0], count)
@@ -47,21 +52,24 @@ class Pool:
             count,
         )
 
-    @classmethod
-    def of_best(cls, states: Sequence[GaussianState]) -> Pool:
-        """The likeliest row of each state."""
-        pool = cls.of(states)
-        return cls(pool.rows.take(pool.best()), np.ones_like(pool.count))
+    def take(self, index: NDArray[np.int64]) -> Pool:
+        """The rows at ``index``, which keeps the runs in their order, at least one of each."""
+        return Pool(self.rows.take(index), np.bincount(self.run[index], minlength=len(self.count)))
 
-    @property
+    @cached_property
     def begin(self) -> NDArray[np.int64]:
         """First row (B,) of each run."""
         return np.cumsum(self.count) - self.count
 
-    @property
+    @cached_property
     def run(self) -> NDArray[np.int64]:
         """The run (R,) that each row belongs to."""
         return np.repeat(np.arange(len(self.count)), self.count)
+
+    @property
+    def rank(self) -> NDArray[np.int64]:
+        """Place (R,) of each row in its run, from 0."""
+        return np.arange(len(self.rows)) - self.begin[self.run]
 
     def apart(self) -> list[Rows]:
         """The rows of each run."""
@@ -91,3 +99,10 @@ def active_of(pool: Pool, states: Sequence[GaussianState], layout: Layout) -> ND
     confirmed = np.array([state.slots.confirmed for state in states])[pool.run]
     owner = np.array([state.slots.owner for state in states])[pool.run]
     return active_features(pool.rows.located, pool.rows.present, confirmed, owner, layout.shared)
+
+
+def pending_of(states: Sequence[GaussianState]) -> NDArray[np.bool_]:
+    """Which of B runs with one layout have a wall that is not confirmed."""
+    wall_id = np.array([state.slots.wall_id for state in states])
+    confirmed = np.array([state.slots.confirmed for state in states])
+    return np.asarray(np.any((wall_id >= 0) & ~confirmed, axis=1))

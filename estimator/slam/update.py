@@ -8,7 +8,7 @@ Where two paths cross, the second pass is much surer than the first would be.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,10 @@ from estimator.slam.config import GaussianConfig
 from estimator.slam.features import Prediction, predict_paths
 from estimator.slam.kalman import kalman
 from estimator.slam.layout import Layout
+from estimator.slam.packing import packed
 from estimator.slam.paths import PathTable
 
-__all__ = ["Correction", "correct", "predicted_variance"]
+__all__ = ["Correction", "correct"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,6 +33,8 @@ _FEW_ROWS = 32  # or one if there are more rows than these
 _LEAST_CHANCE = 1e-3  # of an alternative worth a row,
 _MOST_CHANCES = 30  # of which a doubt has at most so many
 _CERTAIN = 1e12
+_SHIFT = 2.0  # times the gate: by how much a correction may move what is expected
+_MARGIN = 1.5  # times the gate: pairs of walls farther from every measurement are not looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,27 +66,141 @@ class Correction:
     log_evidence: Array
 
 
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """Features that may have given a measurement, C of each anchor, and how well they would fit.
+
+    Parameters
+    ----------
+    feature : ndarray of int64, shape (R, K, C)
+        Which features.
+    real : ndarray of bool, shape (R, K, C)
+        Which entries are any; the others fill up.
+    jacobian, cross : ndarray, shape (R, K, C, n)
+        Derivatives of the lengths, and their products with the covariance.
+    spread : ndarray, shape (R, K, C)
+        Variance of the predicted lengths that is due to the state.
+    innovation, ratio : ndarray, shape (R, K, C, M)
+        Measured minus predicted lengths; association ratios.
+    """
+
+    feature: NDArray[np.int64]
+    real: Mask
+    jacobian: Array
+    cross: Array
+    spread: Array
+    innovation: Array
+    ratio: Array
+
+    def of_rows(self, index: NDArray[np.int64]) -> _Near:
+        """Those of the rows at ``index``."""
+        return _Near(*(getattr(self, entry.name)[index] for entry in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Epoch:
+    """What an epoch brings to rows: its paths (1 or R, K, M), their variances, clutter (R, K, 1)."""
+
+    paths: PathTable
+    variance: Array
+    clutter: Array
+    layout: Layout
+    config: GaussianConfig
+
+    @classmethod
+    def of(
+        cls,
+        paths: PathTable,
+        clutter: Array | float | None,
+        rows: int,
+        layout: Layout,
+        config: GaussianConfig,
+    ) -> _Epoch:
+        paths = paths.by_row()
+        density = np.asarray(config.clutter_density if clutter is None else clutter)
+        variance = np.maximum(paths.std_m, config.range_std_m) ** 2
+        return cls(
+            paths, variance, np.broadcast_to(density, (rows, layout.anchors))[..., None], layout, config
+        )
+
+    def of_rows(self, index: NDArray[np.int64]) -> _Epoch:
+        """The same for the rows at ``index``."""
+        variance = self.variance if len(self.variance) == 1 else self.variance[index]
+        return replace(self, paths=self.paths.of_rows(index), variance=variance, clutter=self.clutter[index])
+
+    def beside(self, length_m: Array, chance: Array, free: Mask) -> Mask:
+        """Features (R, K, F) that may give one of the measurements ``free`` (R, K, M).
+
+        A pair of walls counts only if one lies where a pair known well enough could be heard.
+        """
+        layout, config = self.layout, self.config
+        could = chance > 0.0
+        if layout.pairs and could[..., 1 + layout.slots :].any():
+            noise = np.max(self.variance, where=self.paths.valid, initial=config.range_std_m**2)
+            reach = _MARGIN * config.gate_sigma * np.sqrt(config.pair_gate_std_m**2 + noise)
+            row, anchor, pair = np.nonzero(could[..., 1 + layout.slots :])
+            feature = pair + 1 + layout.slots
+            shared = np.zeros_like(row) if len(self.variance) == 1 else row
+            gap = self.paths.length_m[shared, anchor] - length_m[row, anchor, feature, None]
+            near = np.any((np.abs(gap) < reach) & free[row, anchor], axis=-1)
+            could[row, anchor, feature] = near
+        return could
+
+    def near(
+        self, mean: Array, covariance: Array, prediction: Prediction, chance: Array, could: Mask, free: Mask
+    ) -> _Near:
+        """How the features ``could`` (R, K, F) fit the measurements ``free`` (R, K, M)."""
+        layout, config = self.layout, self.config
+        feature, real = packed(could)
+        rows, anchors, columns = feature.shape
+        jacobian = prediction.derivatives(feature)
+        flat = jacobian.reshape(rows, anchors * columns, layout.size)
+        cross = flat @ covariance
+        spread = np.sum(cross * flat, axis=-1).reshape(feature.shape)
+        s = spread[..., None] + self.variance[:, :, None, :]
+        length = np.take_along_axis(prediction.length_m, feature, axis=2)
+        innovation = self.paths.length_m[:, :, None, :] - length[..., None]
+        distance = innovation**2 / s
+        known = real & ((feature <= layout.slots) | (spread < config.pair_gate_std_m**2) | (not layout.pairs))
+        gated = free[:, :, None, :] & (distance < config.gate_sigma**2) & known[..., None]
+        ratio = np.zeros(gated.shape)
+        fits = np.nonzero(gated)
+        own = np.take_along_axis(chance, feature, axis=2)
+        odds = (own / ((1.0 - own) * self.clutter))[fits[:-1]]
+        ratio[fits] = odds * (np.exp(-0.5 * distance[fits]) / np.sqrt(2.0 * np.pi * s[fits]))
+        ratio = ratio * azimuth_ratio(mean, covariance, self.paths, layout, feature)
+        return _Near(feature, real, jacobian, cross.reshape(jacobian.shape), spread, innovation, ratio)
+
+    def fitting(self, near: _Near, free: Mask) -> Mask:
+        """Features (R, K, C) that measurements ``free`` (R, K, M) might fit once corrected."""
+        reach = (_SHIFT * self.config.gate_sigma) ** 2 * (
+            near.spread[..., None] + self.variance[:, :, None, :]
+        )
+        close = np.any(free[:, :, None, :] & (near.innovation**2 < reach), axis=-1)
+        return np.asarray(near.real & close)
+
+
 def _take(
-    mean: Array, covariance: Array, jacobian: Array, innovation: Array, variance: Array, use: Mask
+    mean: Array, covariance: Array, near: _Near, innovation: Array, variance: Array, use: Mask
 ) -> tuple[Array, Array, Array]:
-    """:func:`kalman` with the features (R, K, F) that ``use`` marks, of the rows that have any."""
+    """:func:`kalman` with the features (R, K, C) that ``use`` marks, of the rows that have any."""
     rows, size = mean.shape
-    use = use.reshape(rows, -1)
-    count = use.sum(axis=1)
-    some = np.flatnonzero(count)
+    column, keep = packed(use.reshape(rows, -1))
+    some = np.flatnonzero(keep.any(axis=1))
     log_density = np.zeros(rows)
     if some.size == 0:
         return mean, covariance, log_density
-    column = np.argsort(~use[some], axis=1, kind="stable")[:, : count.max()]  # each row's own first
-    row = some[:, None]
-    keep = use[row, column]
+    row, column, keep = some[:, None], column[some], keep[some]
     mean, covariance = mean.copy(), covariance.copy()
+    jacobian, cross = (each.reshape(rows, -1, size)[row, column] for each in (near.jacobian, near.cross))
+    jacobian[~keep] = cross[~keep] = 0.0
     mean[some], covariance[some], log_density[some] = kalman(
         mean[some],
         covariance[some],
-        np.where(keep[..., None], jacobian.reshape(rows, -1, size)[row, column], 0.0),
+        jacobian,
         np.where(keep, innovation.reshape(rows, -1)[row, column], 0.0),
         np.where(keep, variance.reshape(rows, -1)[row, column], 0.5 / np.pi),
+        cross=cross,
     )
     return mean, covariance, log_density
 
@@ -124,83 +241,127 @@ def correct(
     -------
     Correction
     """
-    paths = paths.by_row()
-    clutter = np.asarray(config.clutter_density if clutter is None else clutter)
-    clutter = np.broadcast_to(clutter, (len(mean), layout.anchors))[..., None]
-    variance = np.maximum(paths.std_m, config.range_std_m) ** 2
+    epoch = _Epoch.of(paths, clutter, len(mean), layout, config)
+    run = np.zeros(len(mean), dtype=np.int64) if run is None else run
     prediction = predict_paths(mean, layout)
     active = active & prediction.possible
     chance = np.where(active, visibility * config.detection_probability, 0.0)
-    ratio, _, innovation = _ratios(prediction, covariance, chance, clutter, paths, variance, layout, config)
-    ratio = ratio * azimuth_ratio(mean, covariance, paths, layout)
+    free = np.broadcast_to(epoch.paths.valid, (len(mean), *epoch.paths.valid.shape[1:]))
 
     # first pass: what belief propagation does not doubt
-    sure: Mask = np.asarray(associate(ratio).probability > _SURE, dtype=bool)
-    taken: Mask = np.asarray(np.any(sure, axis=-1))  # (R, K, F)
-    chosen = np.argmax(sure, axis=-1)
-    first = np.take_along_axis(innovation, chosen[..., None], axis=-1)[..., 0]
-    noise = np.take_along_axis(variance[:, :, None, :], chosen[..., None], axis=-1)[..., 0]
-    prior = np.log(np.maximum(chance, 1e-12) / clutter)
-    log_evidence = np.sum(np.where(taken, prior, 0.0), axis=(1, 2))
-    mean, covariance, log_density = _take(mean, covariance, prediction.jacobian, first, noise, taken)
-    log_evidence = log_evidence + log_density
-    used: Mask = np.asarray(np.any(sure, axis=-2))  # (R, K, M)
-
-    # second pass: everything else, predicted again
-    prediction = predict_paths(mean, layout)
-    rest = np.where(taken, 0.0, chance)
-    ratio, spread, innovation = _ratios(
-        prediction, covariance, rest, clutter, paths, variance, layout, config
+    near = epoch.near(
+        mean, covariance, prediction, chance, epoch.beside(prediction.length_m, chance, free), free
     )
-    ratio = ratio * azimuth_ratio(mean, covariance, paths, layout)
-    ratio = np.where(used[:, :, None, :], 0.0, ratio)
-    association = associate(ratio)
-    log_evidence = log_evidence + np.sum(association.log_evidence + np.sum(np.log1p(-rest), axis=-1), axis=-1)
-    share, jacobian = association.probability, prediction.jacobian  # (R, K, F, M), (R, K, F, n)
-    parent = np.arange(len(mean))
-    run = np.zeros(len(mean), dtype=np.int64) if run is None else run
-    for turn in range(_SPLITS):
-        may = np.asarray((np.bincount(run)[run] <= _FEW_ROWS) | (turn == 0))
-        split, new, decided, log_share = _split(share, ratio, innovation, spread, variance, may)
-        if not new.size:
-            break
-        mean, covariance, log_evidence = mean[split], covariance[split], log_evidence[split] + log_share
-        visibility, active, taken, used = visibility[split], active[split], taken[split], used[split]
-        spread, innovation, chosen, jacobian = (
-            spread[split],
-            innovation[split],
-            chosen[split],
-            jacobian[split],
-        )
-        run, parent, ratio, share, paths = (
-            run[split],
-            parent[split],
-            ratio[split],
-            share[split],
-            paths.of_rows(split),
-        )
-        variance = variance if len(variance) == 1 else variance[split]
-        ratio[new], share[new] = decided, associate(decided).probability
-    heard = share.sum(axis=-1)
-    weight = np.maximum(heard, 1e-12)
-    expected = np.sum(share * innovation, axis=-1) / weight
-    second = np.sum(share * (innovation**2 + variance[:, :, None, :]), axis=-1) / weight - expected**2
-    soft = heard > 0.05
-    soft[..., 1 + layout.slots :] &= spread[..., 1 + layout.slots :] < config.pair_std_m**2
-    mean, covariance, _ = _take(mean, covariance, jacobian, expected, second / weight, soft)
+    sure: Mask = np.asarray(associate(near.ratio).probability > _SURE, dtype=bool)
+    taken: Mask = np.asarray(np.any(sure, axis=-1))  # (R, K, C)
+    used: Mask = np.asarray(np.any(sure, axis=-2))  # (R, K, M)
+    label = np.where(taken, np.argmax(sure, axis=-1), -1)
+    first = np.take_along_axis(near.innovation, label[..., None], axis=-1)[..., 0]
+    noise = np.take_along_axis(epoch.variance[:, :, None, :], label[..., None], axis=-1)[..., 0]
+    own = np.take_along_axis(chance, near.feature, axis=2)
+    prior = np.log(np.maximum(own, 1e-12) / epoch.clutter)
+    log_evidence = np.sum(np.where(taken, prior, 0.0), axis=(1, 2))
+    mean, covariance, log_density = _take(mean, covariance, near, first, noise, taken)
+    heard = np.zeros(chance.shape)
+    heard[(*np.nonzero(taken)[:2], near.feature[taken])] = 1.0
+    log_evidence = (
+        log_evidence + log_density + np.sum(np.log1p(-np.where(heard > 0.0, 0.0, chance)), axis=(1, 2))
+    )
+
+    # second pass: everything else, predicted again, where a measurement might fit a feature
+    free = free & ~used
+    left = epoch.fitting(near, free) & ~taken
+    doubt = np.flatnonzero(left.any(axis=(1, 2)))
+    parent, explained = np.arange(len(mean)), used.astype(np.float64)
+    if doubt.size:
+        could = np.zeros(chance.shape, dtype=bool)
+        could[(*np.nonzero(left)[:2], near.feature[left])] = True
+        rows = (mean[doubt], covariance[doubt], chance[doubt], could[doubt], free[doubt])
+        done = _second_pass(*rows, epoch.of_rows(doubt), run[doubt], run)
+        count = np.ones(len(mean), dtype=np.int64)
+        count[doubt] = np.bincount(done.parent, minlength=doubt.size)
+        parent = np.repeat(parent, count)
+        again = np.flatnonzero(np.isin(parent, doubt))
+        mean, covariance, log_evidence = mean[parent], covariance[parent], log_evidence[parent]
+        heard, explained = heard[parent], explained[parent]
+        mean[again], covariance[again] = done.mean, done.covariance
+        log_evidence[again] += done.log_evidence
+        heard[again] = np.maximum(heard[again], done.heard)
+        explained[again] = np.maximum(explained[again], done.explained)
 
     # directions of the first pass's paths (those of the second only helped to associate)
-    label = np.where(taken, chosen, -1)
-    mean, covariance, log_direction = take_azimuths(mean, covariance, label, paths, layout)
+    paths = epoch.paths.of_rows(parent)
+    mean, covariance, log_direction = take_azimuths(
+        mean, covariance, near.feature[parent], label[parent], paths, layout
+    )
     log_evidence = log_evidence + log_direction
-
-    heard = np.where(taken, 1.0, heard)
+    active, visibility = active[parent], visibility[parent]
     seen = (
         visibility * (1.0 - config.detection_probability) / (1.0 - visibility * config.detection_probability)
     )
     visibility = np.where(active, heard + (1.0 - heard) * seen, visibility)
-    explained = np.where(used, 1.0, share.sum(axis=-2))
     return Correction(parent, mean, covariance, visibility, heard, explained, log_evidence)
+
+
+@dataclass(frozen=True, eq=False)
+class _Doubts:
+    """What the doubts of an epoch add: the fields of :class:`Correction`, of rows (S,) with a doubt."""
+
+    parent: NDArray[np.int64]
+    mean: Array
+    covariance: Array
+    heard: Array
+    explained: Array
+    log_evidence: Array
+
+
+def _second_pass(
+    mean: Array,
+    covariance: Array,
+    chance: Array,
+    could: Mask,
+    free: Mask,
+    epoch: _Epoch,
+    run: NDArray[np.int64],
+    runs: NDArray[np.int64],
+) -> _Doubts:
+    """Measurements ``free`` (S, K, M) and the features ``could`` (S, K, F) by their probabilities.
+
+    ``run`` (S,) and ``runs`` (R,) are the runs of these rows and of all.
+    """
+    layout, config = epoch.layout, epoch.config
+    prediction = predict_paths(mean, layout)
+    near = epoch.near(mean, covariance, prediction, chance, could, free)
+    association = associate(near.ratio)
+    log_evidence = np.sum(association.log_evidence, axis=-1)
+    share = association.probability  # (S, K, C, M)
+    parent = np.arange(len(mean))
+    size = np.bincount(runs, minlength=1)
+    for turn in range(_SPLITS):
+        may = np.asarray((size[run] <= _FEW_ROWS) | (turn == 0))
+        split, new, decided, log_share = _split(
+            share, near.ratio, near.innovation, near.spread, epoch.variance, may
+        )
+        if not new.size:
+            break
+        size = size + np.bincount(run[split], minlength=len(size)) - np.bincount(run, minlength=len(size))
+        mean, covariance, log_evidence = mean[split], covariance[split], log_evidence[split] + log_share
+        near, epoch, run, parent = near.of_rows(split), epoch.of_rows(split), run[split], parent[split]
+        share = share[split]
+        near.ratio[new], share[new] = decided, associate(decided).probability
+    heard = share.sum(axis=-1)
+    weight = np.maximum(heard, 1e-12)
+    expected = np.sum(share * near.innovation, axis=-1) / weight
+    second = (
+        np.sum(share * (near.innovation**2 + epoch.variance[:, :, None, :]), axis=-1) / weight - expected**2
+    )
+    soft = heard > 0.05
+    if layout.pairs:
+        soft &= (near.feature <= layout.slots) | (near.spread < config.pair_std_m**2)
+    mean, covariance, _ = _take(mean, covariance, near, expected, second / weight, soft)
+    everywhere = np.zeros((len(mean), *chance.shape[1:]))
+    everywhere[(*np.nonzero(near.real)[:2], near.feature[near.real])] = heard[near.real]
+    return _Doubts(parent, mean, covariance, everywhere, share.sum(axis=-2), log_evidence)
 
 
 def _split(
@@ -253,37 +414,3 @@ def _split(
     shares = np.zeros(len(parent))
     shares[new] = np.concatenate(log_share)
     return parent, new, np.concatenate(decided), shares
-
-
-def _ratios(
-    prediction: Prediction,
-    covariance: Array,
-    chance: Array,
-    clutter: Array,
-    paths: PathTable,
-    variance: Array,
-    layout: Layout,
-    config: GaussianConfig,
-) -> tuple[Array, Array, Array]:
-    """Association ratios and innovations (R, K, F, M), and predicted variances (R, K, F)."""
-    spread = predicted_variance(prediction, covariance)
-    s = spread[..., None] + variance[:, :, None, :]
-    innovation = paths.length_m[:, :, None, :] - prediction.length_m[..., None]
-    distance = innovation**2 / s
-    known = np.ones(spread.shape, dtype=bool)
-    known[..., 1 + layout.slots :] = spread[..., 1 + layout.slots :] < config.pair_gate_std_m**2
-    gated = (
-        paths.valid[:, :, None, :] & (distance < config.gate_sigma**2) & ((chance > 0.0) & known)[..., None]
-    )
-    ratio = np.zeros(gated.shape)
-    near = np.nonzero(gated)
-    odds = (chance / ((1.0 - chance) * clutter))[near[:-1]]
-    ratio[near] = odds * (np.exp(-0.5 * distance[near]) / np.sqrt(2.0 * np.pi * s[near]))
-    return ratio, spread, innovation
-
-
-def predicted_variance(prediction: Prediction, covariance: Array) -> Array:
-    """Variance (R, K, F) of the predicted lengths that is due to the state."""
-    rows, anchors, features, size = prediction.jacobian.shape
-    flat = prediction.jacobian.reshape(rows, anchors * features, size)
-    return np.asarray(np.sum((flat @ covariance) * flat, axis=-1).reshape(rows, anchors, features))

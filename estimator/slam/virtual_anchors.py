@@ -49,7 +49,9 @@ class VirtualAnchors:
 
     def __init__(self, mean: Array, layout: Layout) -> None:
         rows, self.layout = len(mean), layout
-        devices = mean[:, layout.FIRST_ANCHOR : layout.walls.start].reshape(rows, -1, layout.PER_ANCHOR)
+        devices = mean[:, layout.FIRST_ANCHOR : layout.walls.start].reshape(
+            rows, layout.anchors, layout.PER_ANCHOR
+        )
         self.agent = mean[:, None, 0:2]  # (R, 1, 2)
         self.anchor, self.height2, self.bias = devices[..., 0:2], devices[..., 2], devices[..., 3]
         slots = mean[:, layout.walls].reshape(rows, layout.slots, layout.per_slot)
@@ -64,19 +66,29 @@ class VirtualAnchors:
         points = np.broadcast_to(self.point[:, None], shape)
         return np.concatenate([self.anchor[:, :, None], points], axis=2)
 
-    def pull_back(self, covector: Array) -> Array:
-        """Derivatives (R, K, F, n) of something that depends on agent minus source by ``covector``."""
+    def offset_of(self, feature: NDArray[np.int64]) -> Array:
+        """From the sources of the features ``feature`` (R, K, C) to the agent, (R, K, C, 2)."""
+        source = np.take_along_axis(self.sources(), feature[..., None], axis=2)
+        return np.asarray(self.agent[:, :, None] - source)
+
+    def pull_back(self, covector: Array, feature: NDArray[np.int64]) -> Array:
+        """Derivatives (R, K, C, n) of something of features ``feature`` (R, K, C).
+
+        It depends on agent minus source by ``covector`` (R, K, C, 2).
+        """
         layout = self.layout
-        jacobian = np.zeros((*covector.shape[:3], layout.size))
+        jacobian = np.zeros((*feature.shape, layout.size))
         jacobian[..., 0:2] = covector
+        direct = (feature == 0)[..., None]
         for k in range(layout.anchors):
-            jacobian[:, k, 0, layout.anchor_xy(k)] = -covector[:, k, 0]
-        own = -covector[:, :, 1:]  # by the point
-        feature = 1 + np.arange(layout.slots)
-        first = layout.walls.start + layout.per_slot * np.arange(layout.slots)
-        jacobian[:, :, feature, first] = np.sum(own * self.outward[:, None], axis=-1)
-        jacobian[:, :, feature, first + 1] = self.reach[:, None] * np.sum(own * self.across[:, None], axis=-1)
-        jacobian[:, :, feature, first + 2], jacobian[:, :, feature, first + 3] = own[..., 0], own[..., 1]
+            jacobian[:, k, :, layout.anchor_xy(k)] = np.where(direct, -covector, 0.0)[:, k]
+        image = feature > 0
+        row, slot, own = np.nonzero(image)[0], feature[image] - 1, -covector[image]  # by the point
+        lines = jacobian.reshape(-1, layout.size)
+        line, first = np.flatnonzero(image), layout.walls.start + layout.per_slot * slot
+        lines[line, first] = np.sum(own * self.outward[row, slot], axis=-1)
+        lines[line, first + 1] = self.reach[row, slot] * np.sum(own * self.across[row, slot], axis=-1)
+        lines[line, first + 2], lines[line, first + 3] = own[:, 0], own[:, 1]
         return jacobian
 
     def possible(self) -> NDArray[np.bool_]:

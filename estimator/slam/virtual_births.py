@@ -135,7 +135,7 @@ def recent_paths(state: GaussianState, k: int, config: GaussianConfig) -> Recent
         trail[:, 1:3],
         noise + trail[:, 3] ** 2,
         noise + config.virtual_alike_epochs * trail[:, 3] ** 2,
-        float(clutter_density(state, config)[k]),
+        float(clutter_density([state], config)[0, k]),
     )
 
 

@@ -23,7 +23,8 @@ from estimator.experiments.summary import (
 )
 from estimator.geometry import rotate
 from estimator.result import SlamResult
-from estimator.slam import engine, update
+from estimator.slam import engine
+from estimator.slam.features import Prediction
 
 HYBRID = Case("hybrid", "gaussian")
 
@@ -206,15 +207,14 @@ def test_a_wrong_sign_of_a_derivative_is_refused(
     walk: Callable[..., Room], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A filter whose path lengths shrink where they should grow with the agent's x is found out."""
-    right = update.predict_paths
+    right = Prediction.derivatives
 
-    def wrong(mean: Any, layout: Any) -> Any:
-        predicted = right(mean, layout)
-        jacobian = predicted.jacobian.copy()
+    def wrong(self: Prediction, feature: Any) -> Any:
+        jacobian = right(self, feature)
         jacobian[..., 0] *= -1.0
-        return replace(predicted, jacobian=jacobian)
+        return jacobian
 
-    monkeypatch.setattr(update, "predict_paths", wrong)
+    monkeypatch.setattr(Prediction, "derivatives", wrong)
     runs, steps = SHORT
     assert _faults(walk(steps), runs)
 
