@@ -30,7 +30,7 @@ from estimator.slam.memory import clutter_density, remember, widen_spans, widen_
 from estimator.slam.motion import predict_motion
 from estimator.slam.paths import PathTable, pool_paths
 from estimator.slam.pool import Pool, active_of
-from estimator.slam.slots import judge, may_judge, open_slot
+from estimator.slam.slots import judge, may_judge, open_slot, retire
 from estimator.slam.state import GaussianState, Rows, log_sum_exp
 from estimator.slam.sweeps import take_sweep
 from estimator.slam.update import correct
@@ -191,7 +191,7 @@ def _step_alike(
         asked = may_judge(group).tolist()
         for i, state, rows, ask in zip(members, group, pool.apart(), asked, strict=True):
             tidied = replace(state, rows=rows)
-            states[i] = judge(tidied, config) if ask else tidied
+            states[i] = retire(judge(tidied, config), config) if ask else tidied
     return states
 
 

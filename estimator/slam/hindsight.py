@@ -1,8 +1,8 @@
 """The recent epochs, seen with what is known now.
 
 A path was noted as unexplained by the map of its day. Once an anchor is located, or turns out to be
-elsewhere, old paths find their explanation, and must not start a wall. And the paths that *are*
-explained tell where nothing stands in the way.
+elsewhere, old paths find their explanation, and must not start a wall; so do those over three known
+walls, which only this asks for. And the paths that *are* explained tell where nothing stands in the way.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from estimator.slam.multiples import redundant_walls
 from estimator.slam.pool import pending_of
 from estimator.slam.state import NOWHERE_M, GaussianState, Rows, Slots
 
-__all__ = ["close_slot", "fresh_visibility", "judge", "may_judge", "open_slot"]
+__all__ = ["fresh_visibility", "judge", "may_judge", "open_slot", "retire"]
 
 Array = NDArray[np.float64]
 _PATIENCE = 10.0  # times the pending epochs: an agent that stands still
@@ -75,7 +75,7 @@ def _widened(visibility: Array, old: Layout, new: Layout) -> Array:
 
 
 def may_judge(states: Sequence[GaussianState]) -> NDArray[np.bool_]:
-    """Which of B runs with one layout :func:`judge` need be asked about."""
+    """Which of B runs with one layout :func:`judge` and :func:`retire` need be asked about."""
     born = np.array([state.slots.born for state in states])
     found = np.any((born >= 0) & np.array([state.slots.confirmed for state in states]), axis=1)
     again = np.array([state.shared and state.epoch % _RECHECK == 0 for state in states])
@@ -83,10 +83,7 @@ def may_judge(states: Sequence[GaussianState]) -> NDArray[np.bool_]:
 
 
 def judge(state: GaussianState, config: GaussianConfig) -> GaussianState:
-    """Confirm pending walls that nearly all the weight agrees on; give up those that linger or deceived.
-
-    Every few epochs the walls found on the way are looked at again: one goes if bounces over others, found
-    later perhaps, explain all that it explained.
+    """Confirm pending walls that nearly all the weight agrees on; give up those that linger.
 
     A virtual anchor is there if it is heard, wherever it stands: before the track bends it may be
     itself or its mirror image in the track, and the epochs to come decide.
@@ -101,10 +98,18 @@ def judge(state: GaussianState, config: GaussianConfig) -> GaussianState:
             slots.confirmed[slot] = True
             state = replace(state, slots=slots, rows=rows.keep(alike))
         elif weight[have].sum() < 1e-5 or _overdue(state, int(slot), config):
-            state = close_slot(state, int(slot))
+            state = _close_slot(state, int(slot))
+    return state
+
+
+def retire(state: GaussianState, config: GaussianConfig) -> GaussianState:
+    """Take out the walls found on the way that bounces over others, found later perhaps, explain.
+
+    They are looked at every few epochs.
+    """
     if state.shared and state.epoch % _RECHECK == 0:
         for slot in redundant_walls(state, config):
-            state = close_slot(state, int(slot))
+            state = _close_slot(state, int(slot))
     return state
 
 
@@ -131,7 +136,7 @@ def _agreeing(state: GaussianState, slot: int, config: GaussianConfig) -> NDArra
     return np.asarray(have & (np.linalg.norm(vrp - vrp[best], axis=1) < config.confirm_radius_m))
 
 
-def close_slot(state: GaussianState, slot: int) -> GaussianState:
+def _close_slot(state: GaussianState, slot: int) -> GaussianState:
     """Give a wall up: the rows without it stay; if all have it, it is taken out of them."""
     layout, rows = state.layout, state.rows
     without = ~rows.present[:, slot]

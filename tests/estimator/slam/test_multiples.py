@@ -12,7 +12,7 @@ from estimator.measurements import GaussianVrp
 from estimator.slam import GaussianConfig, run_slam
 from estimator.slam.features import reflect
 from estimator.slam.multiples import multiple_lengths, redundant_walls
-from estimator.slam.slots import judge, open_slot
+from estimator.slam.slots import open_slot, retire
 from estimator.slam.start import start
 
 CONFIG = GaussianConfig()
@@ -83,18 +83,18 @@ def test_a_wall_that_bounces_over_others_explain_goes():
     """A double bounce over two known walls was taken for a wall: it is seen through, and taken out."""
     state, slot = deceived()
     assert redundant_walls(state, CONFIG).tolist() == [slot]
-    judged = judge(state, CONFIG)
-    assert judged.slots.wall_id[slot] == -1
-    assert np.isnan(judged.slots.heard_from_m[slot]).all()
-    assert not judged.rows.present[:, slot].any()
-    assert judged.rows.present[:, :4].all()
+    after = retire(state, CONFIG)
+    assert after.slots.wall_id[slot] == -1
+    assert np.isnan(after.slots.heard_from_m[slot]).all()
+    assert not after.rows.present[:, slot].any()
+    assert after.rows.present[:, :4].all()
 
 
 def test_a_wall_that_another_anchor_heard_stays():
     """Double bounces of two anchors are never as long as single ones off one wall: what both hear is it."""
     state, slot = deceived(also=(1,))
     assert redundant_walls(state, CONFIG).size == 0
-    assert judge(state, CONFIG).slots.wall_id[slot] == 4
+    assert retire(state, CONFIG).slots.wall_id[slot] == 4
 
 
 def test_the_wall_behind_the_deception_stays():
