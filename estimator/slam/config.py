@@ -104,6 +104,11 @@ class GaussianConfig:
         walls are uncertain they would take the paths of others, metres.
     prune_nats : float
         Hypotheses this far below the best are dropped.
+    alike_sigma : float
+        Hypotheses closer than this many standard deviations in every coordinate become one,
+    unlikely_sigma : float
+        or farther apart, up to this, if one of them is so unlikely that it hardly adds to the variance. Not in
+        the first epochs, while the labels are open.
     max_hypotheses : int
         Hypotheses kept.
     """
@@ -150,6 +155,8 @@ class GaussianConfig:
     pair_std_m: float = 0.5
     pair_gate_std_m: float = 0.4
     prune_nats: float = 12.0
+    alike_sigma: float = 0.7
+    unlikely_sigma: float = 2.0
     max_hypotheses: int = 100
 
     def __post_init__(self) -> None:
@@ -182,7 +189,12 @@ class GaussianConfig:
 
     def widened(self) -> GaussianConfig:
         """The same models with room for more hypotheses."""
-        return replace(self, start_attempts=2 * self.start_attempts, max_hypotheses=2 * self.max_hypotheses)
+        return replace(
+            self,
+            start_attempts=2 * self.start_attempts,
+            max_hypotheses=2 * self.max_hypotheses,
+            unlikely_sigma=self.alike_sigma,
+        )
 
     @property
     def clutter_density(self) -> float:

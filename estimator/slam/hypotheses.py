@@ -13,9 +13,7 @@ __all__ = ["moments", "tidy", "tidy_pool"]
 
 Array = NDArray[np.float64]
 _FEW = 16  # rows of a run, of which all pairs are compared at once
-_ALIKE_SIGMA = 0.7  # rows closer than this in every coordinate become one
 _INFLATION = 0.02  # of the variance, by an unlikely row
-_UNLIKELY_SIGMA = 2.0  # and than this, however unlikely one of them
 
 
 def moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
@@ -34,11 +32,11 @@ def tidy(rows: Rows, config: GaussianConfig) -> Rows:
 def tidy_pool(pool: Pool, config: GaussianConfig) -> Pool:
     """:func:`tidy` of each run of a pool."""
     pool, most = _ordered(pool, config), config.max_hypotheses
-    needy = _with_alike(pool) if pool.count.max() > 1 else np.empty(0, dtype=np.int64)
+    needy = _with_alike(pool, config) if pool.count.max() > 1 else np.empty(0, dtype=np.int64)
     if needy.size:
         parts = pool.apart()
         for i in needy.tolist():
-            parts[i] = _merge(parts[i])
+            parts[i] = _merge(parts[i], config)
         pool = _ordered(Pool.joined(parts), config)
     if pool.count.max() > most:
         pool = pool.take(np.flatnonzero(pool.rank < most))
@@ -56,7 +54,7 @@ def _ordered(pool: Pool, config: GaussianConfig) -> Pool:
     return pool.take(order[weight[order] > least[run]])
 
 
-def _with_alike(pool: Pool) -> NDArray[np.int64]:
+def _with_alike(pool: Pool, config: GaussianConfig) -> NDArray[np.int64]:
     """Runs with two rows that :func:`_merge` might make one; those of many rows are not asked."""
     rank, run = pool.rank, pool.run
     rank = np.where((pool.count <= _FEW)[run], rank, 0)
@@ -64,19 +62,19 @@ def _with_alike(pool: Pool) -> NDArray[np.int64]:
     a = b - 1 - np.arange(b.size) + np.repeat(np.cumsum(rank) - rank, rank)  # every row before b in its run
     mean, covariance = pool.rows.mean, pool.rows.covariance
     std = _std(covariance)
-    limit = _alike(pool.rows.log_weight[b] - pool.rows.log_weight[a])
+    limit = _alike(pool.rows.log_weight[b] - pool.rows.log_weight[a], config)
     near = np.abs(mean[a] - mean[b]) < limit[:, None] * np.minimum(std[a], std[b])
     return np.unique(np.concatenate([run[a[near.all(axis=1)]], np.flatnonzero(pool.count > _FEW)]))
 
 
-def _alike(log_ratio: Array) -> Array:
+def _alike(log_ratio: Array, config: GaussianConfig) -> Array:
     """How many standard deviations apart rows are the same, given the log ratio of their weights.
 
     What merging adds to the variance is the offset squared times the smaller share of the weight: an
     unlikely row may stand farther off.
     """
     share = 1.0 / (1.0 + np.exp(-np.minimum(log_ratio, 0.0)))
-    return np.clip(np.sqrt(_INFLATION / share), _ALIKE_SIGMA, _UNLIKELY_SIGMA)
+    return np.clip(np.sqrt(_INFLATION / share), config.alike_sigma, config.unlikely_sigma)
 
 
 def _std(covariance: Array) -> Array:
@@ -84,7 +82,7 @@ def _std(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)) + 1e-3)
 
 
-def _merge(rows: Rows) -> Rows:
+def _merge(rows: Rows, config: GaussianConfig) -> Rows:
     """Rows (descending weight) that differ by less than their own uncertainty become one."""
     std = _std(rows.covariance)
     free = np.ones(len(rows), dtype=bool)
@@ -98,7 +96,9 @@ def _merge(rows: Rows) -> Rows:
         group = np.flatnonzero(free & (kind == kind[i]))
         if group.size == 0:
             continue
-        limit = _alike(rows.log_weight[group] - rows.log_weight[i])[:, None] * np.minimum(std[i], std[group])
+        limit = _alike(rows.log_weight[group] - rows.log_weight[i], config)[:, None] * np.minimum(
+            std[i], std[group]
+        )
         group = group[(np.abs(rows.mean[group] - rows.mean[i]) < limit).all(axis=1)]
         if group.size == 0:
             continue

@@ -15,6 +15,7 @@ __all__ = ["labellings"]
 
 Array = NDArray[np.float64]
 _MOST_LABELLINGS, _KEPT_LABELLINGS = 4096, 24  # tried, and kept, of each candidate place
+_WORSE = 1.2  # than the best: a path left out counts 1, and errors as their squares say
 _ALIKE_M = 3.0  # lengths that the walls' errors may exchange
 
 
@@ -61,7 +62,8 @@ def labellings(
             if len(set(used)) == len(used):
                 off = sum(gap[s, c, j] ** 2 for c, j in enumerate(chosen) if j >= 0)
                 rated.append((0.5 * off / _ALIKE_M**2 - len(used), chosen))
-        for _, chosen in sorted(rated)[:_KEPT_LABELLINGS]:
+        least = min(rated)[0] + _WORSE
+        for _, chosen in sorted(each for each in rated if each[0] < least)[:_KEPT_LABELLINGS]:
             candidate.append(s)
             label.append(chosen)
     return np.array(candidate), np.array(label)
