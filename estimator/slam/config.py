@@ -107,8 +107,8 @@ class GaussianConfig:
     alike_sigma : float
         Hypotheses closer than this many standard deviations in every coordinate become one,
     unlikely_sigma : float
-        or farther apart, up to this, if one of them is so unlikely that it hardly adds to the variance. Not in
-        the first epochs, while the labels are open.
+        or farther apart, up to this, if one of them is so unlikely that it hardly adds to the variance. Not
+        in the first epochs, while the labels are open.
     max_hypotheses : int
         Hypotheses kept.
     """
