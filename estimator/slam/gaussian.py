@@ -174,20 +174,15 @@ def _step_alike(
             states[i] = take_sweep(states[i], epoch.sweep, epoch.heading_held, config)
         if may_locate(states[i]):
             states[i] = locate_anchors(states[i], paths.of_run(i), config)
-    states = remember(states, _pooled(states, corrected, told.pool), paths, told.explained, config)
-    if states[0].shared:
-        states = [learn_levels(state, config) for state in states]
-        for i in np.flatnonzero(may_bear(states, config)).tolist():
-            states[i] = _bear(states[i], config)
-    else:
-        states = [bear_virtual_anchors(state, config) for state in states]
-    groups: dict[Layout, list[int]] = {}
-    for i, state in enumerate(states):
-        groups.setdefault(state.layout, []).append(i)
-    for members in groups.values():  # a new wall has changed the layout of some
-        every = len(members) == len(states)
-        group = [states[i] for i in members]
-        pool = tidy_pool(_pooled(group, corrected if every else [], told.pool), config)
+    for members in _of_one_layout(states):  # a sweep may have shown one run a new wall
+        group, before = [states[i] for i in members], [corrected[i] for i in members]
+        known = _pooled(group, before, told.pool, len(members) == len(states))
+        group = remember(group, known, paths.of_rows(np.array(members)), told.explained[members], config)
+        for i, state in zip(members, _born(group, config), strict=True):
+            states[i] = state
+    for members in _of_one_layout(states):
+        group, before = [states[i] for i in members], [corrected[i] for i in members]
+        pool = tidy_pool(_pooled(group, before, told.pool, len(members) == len(states)), config)
         asked = may_judge(group).tolist()
         for i, state, rows, ask in zip(members, group, pool.apart(), asked, strict=True):
             tidied = replace(state, rows=rows)
@@ -195,9 +190,27 @@ def _step_alike(
     return states
 
 
-def _pooled(states: list[GaussianState], before: list[GaussianState], pool: Pool) -> Pool:
-    """The rows of states: ``pool``, if they are still those of the states ``before`` that it was made of."""
-    same = len(states) == len(before) and all(a.rows is b.rows for a, b in zip(states, before, strict=True))
+def _of_one_layout(states: list[GaussianState]) -> list[list[int]]:
+    """The runs, in groups of one layout."""
+    groups: dict[Layout, list[int]] = {}
+    for i, state in enumerate(states):
+        groups.setdefault(state.layout, []).append(i)
+    return list(groups.values())
+
+
+def _born(states: list[GaussianState], config: GaussianConfig) -> list[GaussianState]:
+    """The states of runs with one layout, with the walls or virtual anchors that their paths ask for."""
+    if not states[0].shared:
+        return [bear_virtual_anchors(state, config) for state in states]
+    states = [learn_levels(state, config) for state in states]
+    for i in np.flatnonzero(may_bear(states, config)).tolist():
+        states[i] = _bear(states[i], config)
+    return states
+
+
+def _pooled(states: list[GaussianState], before: list[GaussianState], pool: Pool, every: bool) -> Pool:
+    """The rows of states: ``pool``, if it is of ``every`` run and no rows changed since ``before``."""
+    same = every and all(a.rows is b.rows for a, b in zip(states, before, strict=True))
     return pool if same else Pool.of(states)
 
 

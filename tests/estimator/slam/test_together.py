@@ -105,3 +105,15 @@ def test_a_refused_batch_says_what_is_wrong(varied, together):
     with pytest.raises(InputError, match="expected one later than epoch"):
         step_many(states, last, engine.models)
     assert [save_state(state) for state in states] == before
+
+
+def test_a_wall_that_only_one_run_sees(room):
+    """A sweep shows one run of a batch a wall that it did not have; both go on as they would alone."""
+    runs = [room.measure(seed, 14, sweep_every=6) for seed in (5, 6)]
+    runs = [replace(run, walls=run.walls[:3]) for run in runs]
+    runs[1] = replace(runs[1], epochs=tuple(replace(epoch, sweep=()) for epoch in runs[1].epochs))
+    engine = GaussianEngine(config_for(runs[0]))
+    states = _stepped(engine, runs)
+    assert states[0].layout.slots > states[1].layout.slots
+    for run, state in zip(runs, states, strict=True):
+        assert _gap(state, _stepped(engine, [run])[0]) < 1e-9
