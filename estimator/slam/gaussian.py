@@ -82,7 +82,7 @@ def step_many(
 
     The rows of all runs that have the same layout are predicted, associated and corrected as one
     array; a run's result is that of :func:`step` to rounding. Once the first epochs have
-    settled, a run in a batch takes about 0.4 of its time alone.
+    settled, a run in a batch takes about a tenth of its time alone.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ def run_many(
 ) -> list[SlamResult]:
     """Run SLAM with the ``gaussian`` engine over many independent runs, epoch by epoch all together.
 
-    Each result is that of :func:`estimator.run_slam` to rounding; ten or more take about 0.6 of the time.
+    Each result is that of :func:`estimator.run_slam` to rounding; fifty take about a quarter of the time.
 
     Parameters
     ----------
