@@ -22,7 +22,7 @@ __all__ = ["SmoothTask"]
 
 @dataclass(frozen=True)
 class SmoothTask:
-    """Smooth a run; see :func:`estimator.slam.refine.refine`.
+    """Smooth a run; see :func:`estimator.slam.smoothing.refine.refine`.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class SmoothTask:
             determine everything.
         """
         del cache
-        from estimator.slam.refine import RefineConfig, refine
+        from estimator.slam.smoothing.refine import RefineConfig, refine
 
         config = json.loads(self.config)
         walls = [wall for text in self.sweeps for wall in read_sweep(text)]

@@ -14,9 +14,9 @@ import numpy as np
 from estimator.errors import ConfigurationError
 from estimator.experiments.room import Room
 from estimator.simulate import SimulationConfig
-from estimator.slam.bounds import Limit, limit
+from estimator.slam.limits.bounds import Limit, limit
+from estimator.slam.limits.scenario import Sensing
 from estimator.slam.methods import METHODS, PAIRS, Method, method_for
-from estimator.slam.scenario import Sensing
 
 __all__ = ["OPTIONS", "Case", "Option", "cases_of", "limit_of", "simulation_with"]
 
@@ -32,7 +32,7 @@ class Option:
     simulation : mapping
         Fields of :class:`~estimator.simulate.SimulationConfig` that it sets.
     sensing : mapping
-        Fields of :class:`~estimator.slam.scenario.Sensing` that it sets.
+        Fields of :class:`~estimator.slam.limits.scenario.Sensing` that it sets.
     """
 
     text: str

@@ -17,7 +17,7 @@ from estimator.experiments.room import Room
 from estimator.measurements import MeasurementSet
 from estimator.metrics import best_rotation, derotated, distances, match, nees, ospa
 from estimator.result import SlamResult
-from estimator.slam.particle_config import ParticleConfig
+from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.run import config_for, run_slam
 from estimator.slam.run_many import run_many
 

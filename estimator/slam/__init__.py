@@ -3,13 +3,13 @@
 from estimator.slam.config import GaussianConfig
 from estimator.slam.engine import Engine, GaussianEngine, Prior, epoch_rng
 from estimator.slam.estimate import Estimate, estimate
-from estimator.slam.gaussian import step, step_many
-from estimator.slam.particle import ParticleEngine
-from estimator.slam.particle_config import ParticleConfig
+from estimator.slam.gaussian.filter import step, step_many
+from estimator.slam.gaussian.start import start
+from estimator.slam.gaussian.state import GaussianState, load_state, save_state
+from estimator.slam.particle.config import ParticleConfig
+from estimator.slam.particle.engine import ParticleEngine
 from estimator.slam.run import run_slam
 from estimator.slam.run_many import run_many
-from estimator.slam.start import start
-from estimator.slam.state import GaussianState, load_state, save_state
 
 __all__ = [
     "Engine",

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.geometry import rotation_matrix
-from estimator.slam.state import GaussianState
-from estimator.slam.virtual_anchors import implied_walls
+from estimator.slam.births.virtual_anchors import implied_walls
+from estimator.slam.gaussian.state import GaussianState
 
 __all__ = ["LEAST_WEIGHT", "MOST", "Candidate", "candidates", "stacked_candidates"]
 

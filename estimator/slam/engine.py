@@ -20,10 +20,10 @@ from estimator.errors import InputError
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.slam.config import GaussianConfig
 from estimator.slam.estimate import Estimate, estimate
-from estimator.slam.gaussian import step_many
+from estimator.slam.gaussian.filter import step_many
+from estimator.slam.gaussian.start import start
+from estimator.slam.gaussian.state import GaussianState, load_state, save_state
 from estimator.slam.methods import METHODS, Method
-from estimator.slam.start import start
-from estimator.slam.state import GaussianState, load_state, save_state
 
 __all__ = ["Engine", "GaussianEngine", "Prior", "epoch_rng"]
 
@@ -120,7 +120,7 @@ class GaussianEngine:
         )
 
     def start(self, prior: Prior, rng: np.random.Generator) -> GaussianState:
-        """See :func:`estimator.slam.start.start`; raises InputError if the method lacks known anchors."""
+        """See :func:`estimator.slam.gaussian.start.start`; raises InputError if known anchors are lacking."""
         known = self.method.anchors == "known"
         if known and prior.anchors_m is None:
             raise InputError(f"method {self.method.name}: expected known anchors, the measurements have none")
@@ -134,11 +134,11 @@ class GaussianEngine:
         )
 
     def step(self, state: GaussianState, epoch: Epoch, rng: np.random.Generator) -> GaussianState:
-        """See :func:`estimator.slam.gaussian.step`; a method that hears no paths gets none."""
+        """See :func:`estimator.slam.gaussian.filter.step`; a method that hears no paths gets none."""
         return self.step_many([state], [epoch])[0]
 
     def step_many(self, states: Sequence[GaussianState], epochs: Sequence[Epoch]) -> list[GaussianState]:
-        """The next epoch of each of several runs; see :func:`estimator.slam.gaussian.step_many`."""
+        """The next epoch of each of several runs; see :func:`estimator.slam.gaussian.filter.step_many`."""
         if not self.method.paths:
             silent = AnchorPaths(np.empty(0), np.empty(0))
             epochs = [replace(epoch, paths=(silent,) * len(epoch.paths)) for epoch in epochs]
@@ -149,11 +149,11 @@ class GaussianEngine:
         return estimate(state, self.models)
 
     def save(self, state: GaussianState) -> bytes:
-        """See :func:`estimator.slam.state.save_state`."""
+        """See :func:`estimator.slam.gaussian.state.save_state`."""
         return save_state(state)
 
     def load(self, data: bytes) -> GaussianState:
-        """See :func:`estimator.slam.state.load_state`."""
+        """See :func:`estimator.slam.gaussian.state.load_state`."""
         return load_state(data)
 
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.geometry import rotation_matrix
+from estimator.slam.births.virtual_walls import Wall, virtual_walls
 from estimator.slam.candidates import Candidate, candidates
 from estimator.slam.config import GaussianConfig
-from estimator.slam.hypotheses import moments
-from estimator.slam.state import GaussianState
-from estimator.slam.virtual_walls import Wall, virtual_walls
+from estimator.slam.gaussian.hypotheses import moments
+from estimator.slam.gaussian.state import GaussianState
 
 __all__ = ["Estimate", "estimate"]
 

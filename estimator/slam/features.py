@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.slam.births.virtual_anchors import VirtualAnchors
 from estimator.slam.layout import Layout
-from estimator.slam.virtual_anchors import VirtualAnchors
 
 __all__ = [
     "Features",

@@ -16,8 +16,8 @@ from estimator.slam.candidates import stacked_candidates
 from estimator.slam.config import GaussianConfig
 from estimator.slam.engine import Engine, GaussianEngine, Prior, epoch_rng
 from estimator.slam.estimate import Estimate
-from estimator.slam.particle import ParticleEngine
-from estimator.slam.particle_config import ParticleConfig
+from estimator.slam.particle.config import ParticleConfig
+from estimator.slam.particle.engine import ParticleEngine
 from estimator.threads import one_blas_thread
 
 __all__ = ["ENGINES", "METHODS", "config_for", "engine_for", "run_slam"]

@@ -20,7 +20,7 @@ from estimator.sensing.linefit import fit_lines
 from estimator.sensing.ranges import sweep_response
 from estimator.simulate import SimulationConfig
 from estimator.slam import GaussianConfig, GaussianEngine, Prior, epoch_rng
-from estimator.slam.particle_config import ParticleConfig
+from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.run import config_for, engine_for
 from estimator.threads import one_blas_thread
 from estimator.waveform import OfdmGrid

@@ -10,7 +10,7 @@ from fastapi.testclient import TestClient
 
 from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
-from estimator.slam.refine import RefineConfig, refine
+from estimator.slam.smoothing.refine import RefineConfig, refine
 from service.app import create_app
 from service.settings import load_settings
 

@@ -1,0 +1,1 @@
+"""Where an anchor is: candidates from the paths of an epoch, IV-B1, and its start in the Gaussian filter."""

@@ -1,0 +1,291 @@
+"""Anchors enter the joint state: candidates are searched and hypotheses forked."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.slam.anchors.circles import Centres, images_of_agent
+from estimator.slam.anchors.labellings import labellings
+from estimator.slam.anchors.search import (
+    Candidates,
+    PathBatch,
+    best_of,
+    evidence_at,
+    locate,
+)
+from estimator.slam.config import GaussianConfig
+from estimator.slam.features import predict_paths, wall_side
+from estimator.slam.gaussian.hypotheses import tidy
+from estimator.slam.gaussian.kalman import kalman
+from estimator.slam.gaussian.levels import known_gains
+from estimator.slam.gaussian.paths import PathTable
+from estimator.slam.gaussian.slots import fresh_visibility
+from estimator.slam.gaussian.state import GaussianState, Rows, log_sum_exp
+
+__all__ = ["locate_anchors", "may_locate"]
+
+Array = NDArray[np.float64]
+_BIAS_STEP_M = 1.0  # spacing of the clock biases that are tried
+_MOST_BIASES = 10  # searched for further anchors
+_STRIDE = 4  # epochs between those of a window that are searched
+_ODDS = 1.0  # that a feature is measured
+_MARGIN_NATS = 2.0  # by which a place must beat those that explain too little, and no place at all
+_RECHECK = 8  # epochs between doubts of a located anchor
+_RIVAL_LOG_PRIOR = -3.0  # log odds that a located anchor is elsewhere after all
+_KNOWN_M2 = 1e-12  # variance of an anchor known from the start, left by rounding where rows were merged
+_PRIOR_STD_M = 10.0  # of an anchor started from one epoch, whose paths all enter the joint Gaussian
+
+
+def may_locate(state: GaussianState) -> bool:
+    """Whether :func:`locate_anchors` has anything to look at in this epoch."""
+    if len(state.trail) < _STRIDE or state.epoch % _RECHECK == 0:
+        return True
+    return state.epoch % _STRIDE == 0 and not state.rows.located.all()
+
+
+def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfig) -> GaussianState:
+    """Start the anchors that the best row has not located, where the paths allow it.
+
+    The rows that lack the anchor split: one for each candidate place, weighted by
+    its evidence, and one that goes on without it. A located anchor of which too much
+    goes unexplained is searched again; a place that explains the recent epochs better
+    becomes a rival hypothesis, and the epochs to come decide. While no anchor at all is located
+    the agent's motion is not known either, and waiting only loses what the start tells: after the
+    first epoch the anchor that is heard over most paths then starts from every place that explains
+    enough, even if one that explains too little is as likely.
+
+    Parameters
+    ----------
+    state : GaussianState
+        State with corrected rows.
+    paths : PathTable
+        The epoch's paths.
+    config : GaussianConfig
+        Models.
+    """
+    early = len(state.trail) < _STRIDE
+    for k in range(state.layout.anchors):
+        waiting = np.flatnonzero(~state.rows.located[:, k])
+        located = waiting.size == 0
+        if (located and not _doubtful(state, k, config)) or (state.epoch % _STRIDE and not early):
+            continue
+        groups = (
+            [np.array([state.rows.best])] if located else _alike(state.rows, waiting, state.layout.bias(k))
+        )
+        forks = [_forks(state, paths, k, group, config, _MARGIN_NATS) for group in groups]
+        state = _joined(state, forks, config)
+    if early and len(state.trail) and not state.rows.located.any():
+        everyone = np.arange(len(state.rows))
+        for k in np.argsort(-np.sum(paths.valid, axis=1), kind="stable").tolist():
+            state = _joined(state, [_forks(state, paths, k, everyone, config, -np.inf)], config)
+            if state.rows.located.any():
+                break
+    return state
+
+
+def _joined(state: GaussianState, forks: list[Rows | None], config: GaussianConfig) -> GaussianState:
+    """The state with the new rows, pruned; as it is if there are none."""
+    rows = state.rows
+    for fork in forks:
+        rows = rows if fork is None else rows.joined(fork)
+    return state if rows is state.rows else replace(state, rows=tidy(rows, config))
+
+
+def _alike(rows: Rows, waiting: NDArray[np.int64], bias: int) -> list[NDArray[np.int64]]:
+    """The rows that wait for an anchor, likeliest first, in groups that agree on its clock bias.
+
+    Anchors with a common clock: where the first one stands tells the bias, and each of its places
+    another one.
+    """
+    groups: list[NDArray[np.int64]] = []
+    left = waiting[np.argsort(-rows.log_weight[waiting], kind="stable")]
+    while left.size and len(groups) < _MOST_BIASES:
+        near = np.abs(rows.mean[left, bias] - rows.mean[left[0], bias]) < _BIAS_STEP_M
+        groups.append(left[near])
+        left = left[~near]
+    return groups
+
+
+def _forks(
+    state: GaussianState,
+    paths: PathTable,
+    k: int,
+    rows: NDArray[np.int64],
+    config: GaussianConfig,
+    margin: float,
+) -> Rows | None:
+    """New rows, one for each of ``rows`` and each place of anchor ``k``; None if none is found.
+
+    The best place has to beat those that explain too little by ``margin`` nats.
+    """
+    first = int(rows[np.argmax(state.rows.log_weight[rows])])
+    located = bool(state.rows.located[first, k])
+    centres, batch, walls = _gather(state, paths, k, first, config)
+    found = _search(state, k, first, centres, batch, walls, config)
+    now = centres.epoch == state.epoch
+    epochs = np.unique(batch.epoch).size
+    fresh = np.sum((found.label >= 0) & now & (centres.bounces < 2), axis=1)
+    enough = (found.matches >= config.start_matches - (epochs > 1)) & (fresh >= 2)
+    if located:
+        here = state.rows.mean[state.rows.best, state.layout.anchor(k)][None, :2]
+        rival = np.linalg.norm(found.mean_m - here, axis=1) > config.restart_distance_m
+        rival &= _behind(found.mean_m, walls) <= _behind(here, walls)  # its images explain much, too
+        bias = state.rows.mean[first, state.layout.bias(k)]
+        shifted = replace(batch, length_m=np.maximum(batch.length_m - bias, 1e-3))
+        enough &= rival & (found.log_evidence > evidence_at(here, centres, shifted, walls, config)[0])
+    if not enough.any():
+        return None
+    rest = max(float(found.log_evidence[~enough].max(initial=0.0)), 0.0)
+    if not found.log_evidence[enough].max() > rest + margin:
+        return None
+    chosen = Candidates(*(getattr(found, entry.name)[enough] for entry in fields(found)))
+    return _fork(state, paths, k, rows, chosen, centres, walls, config)
+
+
+def _behind(points: Array, walls: dict[int, Array]) -> NDArray[np.int64]:
+    """Number of known walls behind which points (S, 2) stand."""
+    behind = np.zeros(len(points), dtype=np.int64)
+    for vrp in walls.values():
+        behind += wall_side(points, vrp) > 0.0
+    return behind
+
+
+def _search(
+    state: GaussianState,
+    k: int,
+    row: int,
+    centres: Centres,
+    batch: PathBatch,
+    walls: dict[int, Array],
+    config: GaussianConfig,
+) -> Candidates:
+    """Candidates for anchor ``k`` at its clock bias, or on a grid of biases if that is unknown."""
+    b = state.layout.bias(k)
+    mean, std = float(state.rows.mean[row, b]), float(np.sqrt(state.rows.covariance[row, b, b]))
+    seeds = np.array([state.epoch])
+    if std < _BIAS_STEP_M:
+        loose = replace(batch, length_m=batch.length_m - mean, variance_m2=batch.variance_m2 + std**2)
+        return locate(centres, loose, walls, config, seeds).at_bias(mean)
+    tolerance = batch.variance_m2 + _BIAS_STEP_M**2 / 12.0
+    grid = np.arange(-3.0 * std, 3.0 * std + _BIAS_STEP_M, _BIAS_STEP_M)
+    found = []
+    for shift in grid:
+        length = batch.length_m - mean - shift
+        heard = PathBatch(np.maximum(length, 1e-3), tolerance, batch.epoch, batch.excess_loss_db)
+        log_prior = -0.5 * (shift / std) ** 2 + float(np.log(_BIAS_STEP_M / (std * np.sqrt(2.0 * np.pi))))
+        found.append(locate(centres, heard, walls, config, seeds).at_bias(mean + shift, log_prior))
+    return best_of(found, config)
+
+
+def _doubtful(state: GaussianState, k: int, config: GaussianConfig) -> bool:
+    """Whether so much of a located anchor goes unexplained that its place should be checked."""
+    place = state.layout.anchor_xy(k)
+    known = np.trace(state.rows.covariance[state.rows.best, place, place]) < _KNOWN_M2
+    if known or state.epoch % _RECHECK or len(state.trail) < _STRIDE:
+        return False
+    first = state.rows.visibility[state.rows.best, k, : 1 + state.layout.slots]
+    if np.sum(first * state.active()[state.rows.best, k, : len(first)] > 0.5) >= config.start_matches - 1:
+        return False
+    loose = state.loose
+    count = np.sum(loose[:, 1] == k)
+    expected = config.clutter_mean * len(state.trail)
+    return bool(count > expected + 4.0 * np.sqrt(expected) + 0.5 * len(state.trail))
+
+
+def _gather(
+    state: GaussianState, paths: PathTable, k: int, row: int, config: GaussianConfig
+) -> tuple[Centres, PathBatch, dict[int, Array]]:
+    """Circles of anchor ``k``: this epoch's and, every fourth epoch, recent ones."""
+    layout, rows = state.layout, state.rows
+    mean, covariance = rows.mean[row], rows.covariance[row]
+    slots = np.flatnonzero(rows.present[row] & state.slots.confirmed)
+    walls = mean[layout.walls].reshape(-1, 2)[slots]
+    spread = np.array([covariance[layout.wall(s), layout.wall(s)] for s in slots.tolist()]).reshape(-1, 2, 2)
+    n = int(paths.valid[k].sum())
+    variance = 0.5 * float(np.trace(covariance[:2, :2]))
+    centres = [images_of_agent(mean[:2], variance, walls, spread, slots, state.epoch)]
+    table = [paths.length_m[k, :n], paths.std_m[k, :n], paths.excess_loss_db[k, :n]]
+    heard = [np.column_stack([np.full(n, state.epoch), *table])]
+    stride = 1 if len(state.trail) < _STRIDE else _STRIDE
+    for epoch, x, y, std in state.trail[::-stride]:
+        old = state.heard[(state.heard[:, 1] == k) & (state.heard[:, 0] == epoch)]
+        if len(old):
+            centres.append(images_of_agent(np.array([x, y]), std**2, walls, spread, slots, int(epoch)))
+            heard.append(old[:, [0, 2, 3, 4]])
+    joined = Centres(
+        *(np.concatenate([getattr(c, entry.name) for c in centres]) for entry in fields(Centres))
+    )
+    columns = np.concatenate(heard)
+    batch = PathBatch(
+        columns[:, 1],
+        np.maximum(columns[:, 2], config.range_std_m) ** 2,
+        columns[:, 0].astype(np.int64),
+        columns[:, 3] - known_gains(state)[k],
+    )
+    return joined, batch, dict(zip(slots.tolist(), walls, strict=True))
+
+
+def _fork(
+    state: GaussianState,
+    paths: PathTable,
+    k: int,
+    rows: NDArray[np.int64],
+    found: Candidates,
+    centres: Centres,
+    walls: dict[int, Array],
+    config: GaussianConfig,
+) -> Rows:
+    """One new row for each of ``rows`` and each candidate place of anchor ``k``.
+
+    Neither the candidates' covariances are believed nor their labels: both come from walls
+    held fixed. Each starts wide, and takes this epoch's paths into the joint Gaussian, where anchor
+    and walls become correlated, once for each labelling that may be. Earlier epochs only
+    chose the place; their lengths are not used as information again.
+    """
+    layout = state.layout
+    now = np.flatnonzero((centres.epoch == state.epoch) & (centres.bounces < 2))
+    current = Centres(*(column[now] for column in vars(centres).values()))
+    heard = paths.length_m[k][paths.valid[k]]
+    candidate, label = labellings(found, current, heard, walls)
+    count = len(candidate)
+    group = np.repeat(np.arange(len(rows)), count) * len(found.mean_m) + np.tile(candidate, len(rows))
+    candidate, label = np.tile(candidate, len(rows)), np.tile(label, (len(rows), 1))
+    new = state.rows.take(np.repeat(rows, count))
+    xy, w, b = layout.anchor_xy(k), layout.height2(k), layout.bias(k)
+    located = bool(new.located[0, k])
+    new.located[:, k] = True
+    new.log_weight[...] += _RIVAL_LOG_PRIOR if located else found.log_evidence[candidate]
+    new.mean[:, xy] = found.mean_m[candidate]
+    shift = found.bias_m[candidate] - new.mean[:, b]
+    scale = np.maximum(new.covariance[:, b, b], 1e-12)
+    for other in (layout.bias(j) for j in range(layout.anchors)):  # clocks that agree move together
+        share = new.covariance[:, other, b] / scale
+        new.mean[:, other] += (1.0 if other == b else share) * shift
+    if located:  # what was known of the anchor goes with its place
+        place = slice(xy.start, w + 1)
+        new.covariance[:, place, :] = 0.0
+        new.covariance[:, :, place] = 0.0
+        new.mean[:, w] = config.height2_mean_m2
+        new.covariance[:, w, w] = config.height2_std_m2**2
+    new.covariance[:, xy, xy] = _PRIOR_STD_M**2 * np.eye(2)
+    new.visibility[:, k] = fresh_visibility(layout)
+
+    feature = np.where(centres.bounces[now] == 0, 0, 1 + centres.wall[now])
+    known = label >= 0
+    prediction = predict_paths(new.mean, layout)
+    length = paths.length_m[k][np.maximum(label, 0)]
+    std = np.maximum(paths.std_m[k][np.maximum(label, 0)], config.range_std_m)
+    mean, covariance, log_density = kalman(
+        new.mean,
+        new.covariance,
+        np.where(known[..., None], prediction.jacobian[:, k, feature], 0.0),
+        np.where(known, length - prediction.length_m[:, k, feature], 0.0),
+        np.where(known, std**2, 0.5 / np.pi),
+    )
+    log_density += np.sum(known, axis=1) * np.log(_ODDS / config.clutter_density)
+    for g in np.unique(group):
+        log_density[group == g] -= log_sum_exp(log_density[group == g])
+    return replace(new, mean=mean, covariance=covariance, log_weight=new.log_weight + log_density)

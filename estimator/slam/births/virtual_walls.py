@@ -1,0 +1,81 @@
+"""Virtual anchors told as the walls that they imply, (3), each wall once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.slam.births.virtual_anchors import VirtualAnchors, vrp_by_image, vrp_of_image
+from estimator.slam.gaussian.hypotheses import moments
+from estimator.slam.gaussian.state import GaussianState
+
+__all__ = ["Wall", "virtual_walls"]
+
+Array = NDArray[np.float64]
+_SAME_M = 1.0  # the similarity threshold of the paper, V-E
+
+
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """A wall that counts as found.
+
+    Parameters
+    ----------
+    wall_id : int
+        Its identity.
+    mean_m, covariance_m2 : ndarray, shapes (2,) and (2, 2)
+        Its VRP.
+    existence : float
+        Probability that it stands there.
+    """
+
+    wall_id: int
+    mean_m: Array
+    covariance_m2: Array
+    existence: float
+
+
+def virtual_walls(state: GaussianState, weight: Array) -> list[Wall]:
+    """The walls that the virtual anchors found imply, in the order of their identities.
+
+    A virtual anchor is told where the likeliest row has it. A wall that several anchors found is given
+    once, under its first identity, as the one that knows it best. Several bounces imply a wall too, where
+    none is.
+
+    Parameters
+    ----------
+    state : GaussianState
+        State whose slots hold virtual anchors.
+    weight : ndarray, shape (R,)
+        Probabilities of its rows.
+    """
+    rows, layout, best = state.rows, state.layout, int(np.argmax(weight))
+    places = VirtualAnchors(rows.mean, layout)
+    anchor = places.anchor[:, state.slots.owner]
+    vrp = vrp_of_image(places.point, anchor)
+    by_slot = np.stack([places.outward, places.reach[..., None] * places.across], axis=-1)
+    linear = vrp_by_image(places.point, anchor) @ by_slot  # (R, L, 2, 2)
+    free = layout.walls.start + layout.per_slot * np.arange(layout.slots)[:, None] + np.arange(2)
+    covariance = linear @ rows.covariance[:, free[:, :, None], free[:, None, :]] @ linear.swapaxes(-1, -2)
+    away = places.point - places.point[best]
+    there = rows.present & (away[..., 0] ** 2 + away[..., 1] ** 2 < _SAME_M**2)
+    chance = weight @ there
+    walls: list[Wall] = []
+    for slot in np.flatnonzero(state.slots.confirmed & rows.present[best]).tolist():
+        share = weight * there[:, slot] / chance[slot]
+        mean, spread = moments(share, vrp[:, slot], covariance[:, slot])
+        _add(walls, Wall(int(state.slots.wall_id[slot]), mean, spread, min(float(chance[slot]), 1.0)))
+    return sorted(walls, key=lambda wall: wall.wall_id)
+
+
+def _add(walls: list[Wall], wall: Wall) -> None:
+    """Append a wall, or make it one with the wall that is already there."""
+    for i, other in enumerate(walls):
+        if np.linalg.norm(wall.mean_m - other.mean_m) < _SAME_M:
+            better = min(wall, other, key=lambda each: float(np.trace(each.covariance_m2)))
+            first, existence = min(wall.wall_id, other.wall_id), max(wall.existence, other.existence)
+            walls[i] = Wall(first, better.mean_m, better.covariance_m2, existence)
+            return
+    walls.append(wall)

@@ -1,0 +1,155 @@
+"""Which features may have given the measurements of an epoch, and how well they would fit.
+
+Of the pairs of walls few are near any measurement; derivatives and association ratios are made of those
+alone, packed side by side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.slam.config import GaussianConfig
+from estimator.slam.features import Prediction
+from estimator.slam.gaussian.azimuths import azimuth_ratio
+from estimator.slam.gaussian.packing import packed
+from estimator.slam.gaussian.paths import PathTable
+from estimator.slam.layout import Layout
+
+__all__ = ["Hearing", "Near"]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_SHIFT = 2.0  # times the gate: by how much a correction may move what is expected
+_MARGIN = 1.5  # times the gate: pairs of walls farther from every measurement are not looked at
+
+
+@dataclass(frozen=True, eq=False)
+class Near:
+    """Features that may have given a measurement, C of each anchor, and how well they would fit.
+
+    Parameters
+    ----------
+    feature : ndarray of int64, shape (R, K, C)
+        Which features.
+    real : ndarray of bool, shape (R, K, C)
+        Which entries are any; the others fill up.
+    jacobian, cross : ndarray, shape (R, K, C, n)
+        Derivatives of the lengths, and their products with the covariance.
+    spread : ndarray, shape (R, K, C)
+        Variance of the predicted lengths that is due to the state.
+    innovation, ratio : ndarray, shape (R, K, C, M)
+        Measured minus predicted lengths; association ratios.
+    """
+
+    feature: NDArray[np.int64]
+    real: Mask
+    jacobian: Array
+    cross: Array
+    spread: Array
+    innovation: Array
+    ratio: Array
+
+    def of_rows(self, index: NDArray[np.int64]) -> Near:
+        """Those of the rows at ``index``."""
+        return Near(*(getattr(self, entry.name)[index] for entry in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Hearing:
+    """What an epoch brings to R rows.
+
+    Parameters
+    ----------
+    paths : PathTable
+        Its paths, (R, K, M), or (1, K, M) if they are the same for all rows.
+    variance : ndarray, of their shape
+        Variances of the lengths, square metres.
+    clutter : ndarray, shape (R, K, 1)
+        Intensity per metre of paths that no feature gives.
+    layout : Layout
+        Positions in the state vector.
+    config : GaussianConfig
+        Models.
+    """
+
+    paths: PathTable
+    variance: Array
+    clutter: Array
+    layout: Layout
+    config: GaussianConfig
+
+    @classmethod
+    def of(
+        cls,
+        paths: PathTable,
+        clutter: Array | float | None,
+        rows: int,
+        layout: Layout,
+        config: GaussianConfig,
+    ) -> Hearing:
+        """What ``paths`` bring to ``rows`` rows; ``clutter`` as that of :func:`correct` of the update."""
+        paths = paths.by_row()
+        density = np.asarray(config.clutter_density if clutter is None else clutter)
+        variance = np.maximum(paths.std_m, config.range_std_m) ** 2
+        return cls(
+            paths, variance, np.broadcast_to(density, (rows, layout.anchors))[..., None], layout, config
+        )
+
+    def of_rows(self, index: NDArray[np.int64]) -> Hearing:
+        """The same for the rows at ``index``."""
+        variance = self.variance if len(self.variance) == 1 else self.variance[index]
+        return replace(self, paths=self.paths.of_rows(index), variance=variance, clutter=self.clutter[index])
+
+    def beside(self, length_m: Array, chance: Array, free: Mask) -> Mask:
+        """Features (R, K, F) that may give one of the measurements ``free`` (R, K, M).
+
+        A pair of walls counts only if one lies where a pair known well enough could be heard.
+        """
+        layout, config = self.layout, self.config
+        could = chance > 0.0
+        if layout.pairs and could[..., 1 + layout.slots :].any():
+            noise = np.max(self.variance, where=self.paths.valid, initial=config.range_std_m**2)
+            reach = _MARGIN * config.gate_sigma * np.sqrt(config.pair_gate_std_m**2 + noise)
+            row, anchor, pair = np.nonzero(could[..., 1 + layout.slots :])
+            feature = pair + 1 + layout.slots
+            shared = np.zeros_like(row) if len(self.variance) == 1 else row
+            gap = self.paths.length_m[shared, anchor] - length_m[row, anchor, feature, None]
+            near = np.any((np.abs(gap) < reach) & free[row, anchor], axis=-1)
+            could[row, anchor, feature] = near
+        return could
+
+    def near(
+        self, mean: Array, covariance: Array, prediction: Prediction, chance: Array, could: Mask, free: Mask
+    ) -> Near:
+        """How the features ``could`` (R, K, F) fit the measurements ``free`` (R, K, M)."""
+        layout, config = self.layout, self.config
+        feature, real = packed(could)
+        rows, anchors, columns = feature.shape
+        jacobian = prediction.derivatives(feature)
+        flat = jacobian.reshape(rows, anchors * columns, layout.size)
+        cross = flat @ covariance
+        spread = np.sum(cross * flat, axis=-1).reshape(feature.shape)
+        s = spread[..., None] + self.variance[:, :, None, :]
+        length = np.take_along_axis(prediction.length_m, feature, axis=2)
+        innovation = self.paths.length_m[:, :, None, :] - length[..., None]
+        distance = innovation**2 / s
+        known = real & ((feature <= layout.slots) | (spread < config.pair_gate_std_m**2) | (not layout.pairs))
+        gated = free[:, :, None, :] & (distance < config.gate_sigma**2) & known[..., None]
+        ratio = np.zeros(gated.shape)
+        fits = np.nonzero(gated)
+        own = np.take_along_axis(chance, feature, axis=2)
+        odds = (own / ((1.0 - own) * self.clutter))[fits[:-1]]
+        ratio[fits] = odds * (np.exp(-0.5 * distance[fits]) / np.sqrt(2.0 * np.pi * s[fits]))
+        ratio = ratio * azimuth_ratio(mean, covariance, self.paths, layout, feature)
+        return Near(feature, real, jacobian, cross.reshape(jacobian.shape), spread, innovation, ratio)
+
+    def fitting(self, near: Near, free: Mask) -> Mask:
+        """Features (R, K, C) that measurements ``free`` (R, K, M) might fit once corrected."""
+        reach = (_SHIFT * self.config.gate_sigma) ** 2 * (
+            near.spread[..., None] + self.variance[:, :, None, :]
+        )
+        close = np.any(free[:, :, None, :] & (near.innovation**2 < reach), axis=-1)
+        return np.asarray(near.real & close)

@@ -1,0 +1,176 @@
+"""What an epoch leaves behind for later steps: the track, the unexplained, the spans."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.slam.config import GaussianConfig
+from estimator.slam.features import predict_paths, reflect, wall_side
+from estimator.slam.gaussian.packing import packed
+from estimator.slam.gaussian.paths import PathTable
+from estimator.slam.gaussian.pool import Pool, active_of
+from estimator.slam.gaussian.state import GaussianState
+from estimator.slam.layout import Layout
+
+__all__ = ["clutter_density", "remember", "widen_spans", "widen_stretches"]
+
+Array = NDArray[np.float64]
+
+_FLOOD = 200  # paths of one anchor in one epoch
+_UNKNOWN_PATHS = 6.0  # expected of an anchor beyond clutter, before any wall is known
+_PRIOR_EPOCHS = 4.0  # that this expectation weighs
+_FARTHEST_M = 3.0  # beside a feature, however badly it is known
+
+
+def clutter_density(states: Sequence[GaussianState], config: GaussianConfig) -> Array:
+    """Intensity (B, K) per metre of paths that no known feature gives: clutter, and walls not yet found.
+
+    Recent epochs of each of the runs (of K anchors) tell how many there are. With no wall on the map,
+    most paths are such; they must not be taken for the line of sight.
+    """
+    runs, anchors = len(states), len(states[0].anchor_names)
+    blind = np.array([not state.slots.confirmed.any() for state in states])
+    epochs = np.array([len(state.trail) for state in states])[:, None]
+    heard, run = _heard(states)
+    loose = heard[:, 5] == 1.0
+    at = run[loose] * anchors + heard[loose, 1].astype(np.int64)
+    counts = np.bincount(at, minlength=runs * anchors).reshape(runs, anchors)
+    expected = config.clutter_mean + np.where(blind, _UNKNOWN_PATHS, 0.0)[:, None]
+    rate = (counts + _PRIOR_EPOCHS * expected) / (epochs + _PRIOR_EPOCHS)
+    return np.asarray(np.maximum(rate, config.clutter_mean) / config.region_m + 1e-12)
+
+
+def _heard(states: Sequence[GaussianState]) -> tuple[Array, NDArray[np.int64]]:
+    """The remembered paths (N, 6) of all runs, and the run (N,) of each."""
+    counts = [len(state.heard) for state in states]
+    return np.concatenate([state.heard for state in states]), np.repeat(np.arange(len(states)), counts)
+
+
+def widen_spans(span_m: Array, mean: Array, heard: Array, layout: Layout) -> Array:
+    """Spans (B, L, 2) of the walls of runs after the bounces that their best rows heard.
+
+    Parameters
+    ----------
+    span_m : ndarray, shape (B, L, 2)
+        Spans before.
+    mean : ndarray, shape (B, n)
+        The row to believe, of each run.
+    heard : ndarray, shape (B, K, F)
+        Probability that each feature was measured.
+    layout : Layout
+        Positions in the state vectors.
+    """
+    span = span_m.copy()
+    if not layout.shared:
+        return span
+    agent = mean[:, None, layout.POSITION]
+    wall = mean[:, layout.walls].reshape(len(mean), layout.slots, 2)
+    normal = wall / np.linalg.norm(wall, axis=-1, keepdims=True)
+    side = wall_side(agent, wall)
+    for k in range(layout.anchors):
+        image = reflect(mean[:, None, layout.anchor_xy(k)], wall)
+        other = wall_side(image, wall)
+        gap = np.where(side == other, 1.0, side - other)
+        bounce = agent + (side / gap)[..., None] * (image - agent)
+        along = bounce[..., 1] * normal[..., 0] - bounce[..., 0] * normal[..., 1]
+        hit = heard[:, k, 1 : 1 + layout.slots] > 0.5
+        span[..., 0] = np.where(hit, np.minimum(span[..., 0], along), span[..., 0])
+        span[..., 1] = np.where(hit, np.maximum(span[..., 1], along), span[..., 1])
+    return span
+
+
+def widen_stretches(heard_from_m: Array, mean: Array, heard: Array, layout: Layout) -> Array:
+    """Where the agents of runs first and last heard their walls, after what their best rows heard.
+
+    Parameters
+    ----------
+    heard_from_m : ndarray, shape (B, L, K, 2, 2)
+        First and last places before, NaN if there were none.
+    mean, heard, layout
+        As for :func:`widen_spans`.
+    """
+    hit = np.swapaxes(heard[:, :, 1 : 1 + layout.slots] > 0.5, 1, 2)  # (B, L, K)
+    new = np.isnan(heard_from_m[..., 0]) & hit[..., None]
+    use = np.stack([new[..., 0], hit], axis=-1)[..., None]
+    return np.where(use, mean[:, None, None, None, layout.POSITION], heard_from_m)
+
+
+def remember(
+    states: Sequence[GaussianState], pool: Pool, paths: PathTable, explained: Array, config: GaussianConfig
+) -> list[GaussianState]:
+    """Note where the agents of runs with one layout are and what nothing explains.
+
+    A path counts as explained if a feature probably gave it, or if it lies close to
+    where any possible feature would be heard: beside a known path stand its echoes,
+    not new walls. Of an anchor that hears hundreds of paths nothing is noted: in a flood every
+    wall could be found, and searching it takes minutes.
+
+    Parameters
+    ----------
+    states : sequence of GaussianState
+        States with corrected rows, B runs.
+    pool : Pool
+        Their rows.
+    paths : PathTable
+        The epoch's paths (B, K, M).
+    explained : ndarray, shape (B, K, M)
+        Probability that the best row of each run explains each path.
+    config : GaussianConfig
+        ``pair_radius_m`` and the windows.
+    """
+    layout = states[0].layout
+    best = pool.best()
+    pool = Pool(pool.rows.take(best), np.ones(len(states), dtype=np.int64))
+    mean, covariance = pool.rows.mean, pool.rows.covariance
+    std = np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1]))
+    taken = pool.rows.located[..., None] & (explained > 0.3)
+    taken |= _beside_known(pool, active_of(pool, states, layout), paths, paths.valid & ~taken, layout, config)
+    flood = np.sum(paths.valid, axis=2) > _FLOOD
+    run, k, j = np.nonzero(paths.valid & ~flood[..., None])
+    now = np.array([state.epoch for state in states])
+    at = (run, k, j)
+    columns = (paths.length_m[at], paths.std_m[at], paths.excess_loss_db[at], ~taken[at])
+    old, runs = _heard(states)
+    heard = np.concatenate([old, np.stack([now[run], k, *columns], axis=1)])
+    runs = np.concatenate([runs, run])
+    window = config.birth_window if layout.shared else config.virtual_window
+    oldest = now - max(window, config.start_window)
+    order = np.argsort(runs, kind="stable")
+    order = order[heard[order, 0] > oldest[runs[order]]]
+    ends = np.cumsum(np.bincount(runs[order], minlength=len(states))).tolist()
+    heard = heard[order]
+    after = []
+    for b, (state, begin, end) in enumerate(zip(states, [0, *ends], ends, strict=False)):
+        trail = state.trail[np.searchsorted(state.trail[:, 0], oldest[b], side="right") :]
+        trail = np.concatenate([trail, [[now[b], mean[b, 0], mean[b, 1], std[b]]]])
+        after.append(replace(state, trail=trail, heard=heard[begin:end]))
+    return after
+
+
+def _beside_known(
+    pool: Pool,
+    active: NDArray[np.bool_],
+    paths: PathTable,
+    asked: NDArray[np.bool_],
+    layout: Layout,
+    config: GaussianConfig,
+) -> NDArray[np.bool_]:
+    """Which of the paths ``asked`` (B, K, M) lie close to where a feature of a run's row could be heard."""
+    prediction = predict_paths(pool.rows.mean, layout)
+    beside = config.pair_radius_m if layout.shared else 2.0 * config.range_std_m
+    gap = np.abs(paths.length_m[:, :, None, :] - prediction.length_m[..., None])  # (B, K, F, M)
+    may = (gap < _FARTHEST_M) & asked[:, :, None, :] & (active & prediction.possible)[..., None]
+    sure = np.any(may & (gap < beside), axis=2)
+    doubt = np.any(may & ~sure[:, :, None, :], axis=-1)
+    if not doubt.any():
+        return np.asarray(sure)
+    feature, real = packed(doubt)
+    jacobian = prediction.derivatives(feature).reshape(len(feature), -1, layout.size)
+    spread = np.sum((jacobian @ pool.rows.covariance) * jacobian, axis=-1).reshape(feature.shape)
+    radius = np.where(real, np.minimum(beside + 2.0 * np.sqrt(spread), _FARTHEST_M), 0.0)
+    gap = np.take_along_axis(gap, feature[..., None], axis=2)
+    return np.asarray(sure | (asked & np.any(gap < radius[..., None], axis=2)))

@@ -1,0 +1,163 @@
+"""The state before the first epoch, from the walls sensed at the start or from known anchors.
+
+If the anchors are known, they fix the frame. If not, the reference wall (the one whose
+bearing is known best) defines the gauge frame (:mod:`estimator.slam.layout`): its
+bearing error becomes the state ``theta``, the rotation of the whole map about RP, which
+passive measurements cannot see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import InputError
+from estimator.geometry import rotation_matrix
+from estimator.measurements import GaussianVrp
+from estimator.slam.config import GaussianConfig
+from estimator.slam.gaussian.levels import first_levels
+from estimator.slam.gaussian.slots import fresh_visibility
+from estimator.slam.gaussian.state import NOWHERE_M, GaussianState, Rows, Slots
+from estimator.slam.layout import Layout
+
+__all__ = ["start"]
+
+Array = NDArray[np.float64]
+
+
+def start(
+    walls: Sequence[GaussianVrp],
+    anchor_names: Sequence[str],
+    carrier_hz: float,
+    config: GaussianConfig,
+    anchors_m: Array | None = None,
+    shared: bool = True,
+) -> GaussianState:
+    """The state before the first epoch.
+
+    Parameters
+    ----------
+    walls : sequence of GaussianVrp
+        Walls sensed at the start, estimator's frame; at least one if the anchors are not
+        known, for it fixes the direction of the map.
+    anchor_names : sequence of str
+        The anchors that epochs will report on, in order.
+    carrier_hz : float
+        Carrier frequency, hertz.
+    config : GaussianConfig
+        Models.
+    anchors_m : ndarray, shape (K, 2), optional
+        The anchors, estimator's frame, if they are known.
+    shared : bool
+        Whether features are walls common to all anchors, or else virtual anchors of each, of which
+        none is known at the start.
+
+    Returns
+    -------
+    GaussianState
+
+    Raises
+    ------
+    InputError
+        If no anchor is given, or neither a wall nor the anchors' places; if walls are given where
+        features are virtual anchors.
+    """
+    if not anchor_names or not (walls or anchors_m is not None):
+        raise InputError(
+            "SLAM: expected at least one anchor, and a wall sensed at the start or known anchors, "
+            f"got {len(anchor_names)} anchors and {len(walls)} walls"
+        )
+    if walls and not shared:
+        raise InputError(f"SLAM with virtual anchors: expected no walls at the start, got {len(walls)}")
+    walls = sorted(walls, key=_bearing_std)
+    layout = Layout(len(anchor_names), len(walls), shared)
+    bearing = 0.0
+    if anchors_m is None:
+        reference = walls[0].mean_m
+        bearing = float(np.arctan2(reference[1], reference[0]))
+    to_gauge = rotation_matrix(-bearing)
+    vrps = np.array([wall.mean_m for wall in walls]).reshape(-1, 2) @ to_gauge.T
+
+    mean = np.zeros(layout.size)
+    covariance = _wall_prior(walls, vrps, to_gauge, layout, turning=anchors_m is None)
+    if anchors_m is None:
+        vrps[0, 1] = 0.0
+    mean[layout.walls] = vrps.ravel()
+    covariance[0:2, 0:2] = config.start_std_m**2 * np.eye(2)
+    covariance[2:4, 2:4] = config.velocity_std_m_s**2 * np.eye(2)
+    for k in range(layout.anchors):
+        place = (NOWHERE_M, 0.0) if anchors_m is None else anchors_m[k]
+        mean[layout.anchor(k)] = *place, config.height2_mean_m2, 0.0
+        covariance[layout.height2(k), layout.height2(k)] = config.height2_std_m2**2
+    biases = [layout.bias(k) for k in range(layout.anchors)]
+    together = np.ones((len(biases), len(biases))) if config.clock_bias_common else np.eye(len(biases))
+    covariance[np.ix_(biases, biases)] = config.clock_bias_std_m**2 * together
+
+    count = len(walls)
+    rows = Rows(
+        log_weight=np.zeros(1),
+        mean=mean[None],
+        covariance=covariance[None],
+        located=np.full((1, layout.anchors), anchors_m is not None),
+        present=np.ones((1, count), dtype=bool),
+        visibility=np.tile(fresh_visibility(layout), (1, layout.anchors, 1)),
+        support=np.zeros((1, count), dtype=np.int64),
+    )
+    nobody = np.full(count, -1)
+    slots = Slots(
+        np.arange(count),
+        nobody,
+        np.ones(count, dtype=bool),
+        np.zeros((count, 2)),
+        nobody.copy(),
+        np.full((count, layout.anchors, 2, 2), np.nan),
+    )
+    return GaussianState(
+        anchor_names=tuple(anchor_names),
+        carrier_hz=float(carrier_hz),
+        bearing_rad=bearing,
+        epoch=-1,
+        time_s=0.0,
+        log_evidence=0.0,
+        next_wall_id=count,
+        shared=shared,
+        rows=rows,
+        slots=slots,
+        trail=np.empty((0, 4)),
+        heard=np.empty((0, 6)),
+        levels_db=first_levels(len(anchor_names), config),
+    )
+
+
+def _bearing_std(wall: GaussianVrp) -> float:
+    """Standard deviation of a VRP's bearing, radians."""
+    square = float(wall.mean_m @ wall.mean_m)
+    tangent = np.array([-wall.mean_m[1], wall.mean_m[0]]) / np.sqrt(square)
+    return float(np.sqrt(tangent @ wall.covariance_m2 @ tangent / square))
+
+
+def _wall_prior(
+    walls: Sequence[GaussianVrp], vrps: Array, to_gauge: Array, layout: Layout, turning: bool
+) -> Array:
+    """Covariance (n, n) of theta and the VRPs in the gauge frame.
+
+    If the first wall is the gauge's reference (``turning``), an error of its bearing turns all
+    the others the other way.
+    """
+    count = len(walls)
+    errors = np.zeros((2 * count, 2 * count))
+    for i, wall in enumerate(walls):
+        errors[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = to_gauge @ wall.covariance_m2 @ to_gauge.T
+    linear = np.zeros((layout.size, 2 * count))
+    if turning:
+        linear[layout.THETA, 1] = 1.0 / vrps[0, 0]
+    for i in range(count):
+        rows = layout.wall(i)
+        linear[rows, 2 * i : 2 * i + 2] += np.eye(2)
+        quarter_turn = np.array([-vrps[i, 1], vrps[i, 0]])
+        linear[rows, :] -= np.outer(quarter_turn, linear[layout.THETA])
+    if turning:
+        linear[layout.wall(0).start + 1] = 0.0
+    return np.asarray(linear @ errors @ linear.T)

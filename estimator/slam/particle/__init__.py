@@ -1,0 +1,1 @@
+"""Belief propagation with particles, as published: Sections IV-A and IV-B."""

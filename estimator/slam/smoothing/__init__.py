@@ -1,0 +1,1 @@
+"""A whole run at once: Gauss-Newton with the filter's associations, and marginal covariances."""

@@ -1,0 +1,278 @@
+"""Gauss-Newton over a whole run: the likeliest trajectory, anchors and walls, with their covariances.
+
+The factors of a run (:mod:`estimator.slam.smoothing.factors`) are linearised, the arrowhead system is
+eliminated along the epochs, and Levenberg-Marquardt steps are taken until the cost falls no more. A
+step costs as much as the epochs are many. The marginal covariances are those of the last
+system; as everything is linearised at one and the same trajectory, and ``theta`` apart from all path lengths,
+they are consistent. :func:`smooth_fixed_lag` keeps a window of epochs and eliminates what falls out of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import ConfigurationError, InputError
+from estimator.geometry import rotation_matrix
+from estimator.slam.layout import Layout
+from estimator.slam.smoothing.arrowhead import Marginals, eliminate
+from estimator.slam.smoothing.factors import Problem, SweepFactor, Trajectory
+from estimator.slam.smoothing.linearise import Linear, Past, linearise
+
+__all__ = ["Smoothed", "smooth", "smooth_fixed_lag"]
+
+Array = NDArray[np.float64]
+
+_ITERATIONS = 40
+_CONVERGED = 1e-6  # relative decrease of the cost
+_MAX_DAMPING = 1e8
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """A smoothed run, in the estimator's frame (RP at the origin).
+
+    Parameters
+    ----------
+    agent_mean : ndarray, shape (T, 4)
+        Agent positions and velocities.
+    agent_covariance : ndarray, shape (T, 4, 4)
+        Their covariances, the rotation about RP included.
+    rotation_std_rad : ndarray, shape (T,)
+        Standard deviation of the map's rotation.
+    anchor_mean_m, anchor_covariance_m2 : ndarray, shapes (T, K, 2) and (T, K, 2, 2)
+        Anchors; equal at all epochs but for a fixed lag.
+    wall_mean_m, wall_covariance_m2 : ndarray, shapes (T, L, 2) and (T, L, 2, 2)
+        VRPs, in the order of the problem's slots.
+    cost : float
+        Sum of squared whitened residuals at the end.
+    trajectory : Trajectory
+        The same in the gauge frame.
+    marginals : Marginals
+        Covariances of agent states and border in the gauge frame; for a fixed lag, of the last window.
+    """
+
+    agent_mean: Array
+    agent_covariance: Array
+    rotation_std_rad: Array
+    anchor_mean_m: Array
+    anchor_covariance_m2: Array
+    wall_mean_m: Array
+    wall_covariance_m2: Array
+    cost: float
+    trajectory: Trajectory
+    marginals: Marginals
+
+
+def smooth(problem: Problem, start: Trajectory) -> Smoothed:
+    """Smooth a whole run.
+
+    Parameters
+    ----------
+    problem : Problem
+        The factors.
+    start : Trajectory
+        Where to start from, gauge frame: within the basin of the solution, a few metres.
+
+    Returns
+    -------
+    Smoothed
+
+    Raises
+    ------
+    InputError
+        If the start does not fit the problem, or the factors do not determine everything.
+    """
+    _check(problem, start)
+    trajectory, linear = descend(problem, start)
+    marginals = eliminate(linear.matrix).marginals()
+    epochs = range(len(trajectory.agent))
+    places = [_place(problem, trajectory, marginals, t) for t in epochs]
+    return _collect(problem.layout, places, linear.cost, trajectory, marginals)
+
+
+def descend(
+    problem: Problem, start: Trajectory, past: Past | None = None, iterations: int = _ITERATIONS
+) -> tuple[Trajectory, Linear]:
+    """Levenberg-Marquardt; the last trajectory and the problem linearised there."""
+    basis, _ = problem.basis()
+    at, damping = start, 1e-4
+    linear = linearise(problem, at, past)
+    for _ in range(iterations):
+        factor = eliminate(linear.matrix.damped(damping))
+        trial_at = at.moved(*factor.solve(linear.chain, linear.border), basis)
+        trial = linearise(problem, trial_at, past)
+        if not trial.cost <= linear.cost:
+            damping *= 10.0
+            if damping > _MAX_DAMPING:
+                break
+            continue
+        done = linear.cost - trial.cost <= _CONVERGED * (1.0 + abs(linear.cost))
+        at, linear, damping = trial_at, trial, max(0.01 * damping, 1e-12)
+        if done:
+            break
+    return at, linear
+
+
+def smooth_fixed_lag(problem: Problem, start: Trajectory, lag: int = 20, iterations: int = 3) -> Smoothed:
+    """Smooth with a delay: epoch ``t`` from the measurements up to ``t + lag``.
+
+    Each new epoch is predicted, the window is iterated, and the epoch that falls out of it is
+    eliminated: what it says about the next agent state and about what stands still is kept,
+    linearised where it was.
+
+    Parameters
+    ----------
+    problem : Problem
+        The factors.
+    start : Trajectory
+        Where to start from, gauge frame; of the agent only the first state counts.
+    lag : int
+        Epochs that the estimate is behind, 1 or more.
+    iterations : int
+        Steps at each new epoch.
+
+    Returns
+    -------
+    Smoothed
+        Row ``t`` of every array is what was known ``lag`` epochs later, or at the end.
+
+    Raises
+    ------
+    ConfigurationError
+        If ``lag`` or ``iterations`` is less than 1.
+    InputError
+        As :func:`smooth`.
+    """
+    if lag < 1 or iterations < 1:
+        raise ConfigurationError(f"lag, iterations: expected at least 1, got {lag} and {iterations}")
+    _check(problem, start)
+    basis, _ = problem.basis()
+    last = len(problem.time_s) - 1
+    window, past, first = Trajectory(start.agent[:1], start.still), None, 0
+    places, agents = [], []
+    for now in range(last + 1):
+        if now:
+            step = float(problem.time_s[now] - problem.time_s[now - 1])
+            ahead = window.agent[-1] + step * np.concatenate([window.agent[-1, 2:], np.zeros(2)])
+            window = replace(window, agent=np.vstack([window.agent, ahead]))
+        part = _part(problem, first, now)
+        window, linear = descend(part, window, past, iterations)
+        if now < last and now - first < lag:
+            continue
+        marginals = eliminate(linear.matrix).marginals()
+        leaving = range(len(window.agent)) if now == last else range(1)
+        for t in leaving:
+            places.append(_place(problem, window, marginals, t))
+            agents.append(window.agent[t])
+        if now < last:
+            past = _eliminate_first(part, window, past, basis)
+            window, first = replace(window, agent=window.agent[1:]), first + 1
+    trajectory = Trajectory(np.array(agents), window.still)
+    return _collect(problem.layout, places, linear.cost, trajectory, marginals)
+
+
+def _check(problem: Problem, start: Trajectory) -> None:
+    shapes = (len(problem.time_s), 4), (problem.layout.size,)
+    if (start.agent.shape, start.still.shape) != shapes:
+        raise InputError(
+            f"start: expected agent {shapes[0]} and still {shapes[1]}, got {start.agent.shape} "
+            f"and {start.still.shape}"
+        )
+    if not (np.all(np.isfinite(start.agent)) and np.all(np.isfinite(start.still))):
+        raise InputError("start: expected finite numbers")
+
+
+def _part(problem: Problem, first: int, last: int) -> Problem:
+    """The problem of epochs ``first .. last``."""
+    sweeps = tuple(
+        SweepFactor(sweep.epoch - first, sweep.slot, sweep.flash)
+        for sweep in problem.sweeps
+        if first <= sweep.epoch <= last
+    )
+    return replace(
+        problem,
+        time_s=problem.time_s[first : last + 1],
+        paths=problem.paths.within(first, last),
+        sweeps=sweeps,
+    )
+
+
+def _eliminate_first(part: Problem, window: Trajectory, past: Past | None, basis: Array) -> Past:
+    """What the first epoch of the window, and all before, say about the second and the border."""
+    pair = replace(
+        part,
+        time_s=part.time_s[:2],
+        paths=part.paths.within(0, 0),
+        sweeps=tuple(sweep for sweep in part.sweeps if sweep.epoch == 0),
+    )
+    at = Trajectory(window.agent[:2], window.still)
+    linear = linearise(pair, at, past)
+    matrix, size = linear.matrix, basis.shape[1]
+    across = np.concatenate([matrix.link[0], matrix.border[0]], axis=1)  # first epoch by the rest
+    gain = np.linalg.solve(matrix.chain[0], np.column_stack([across, linear.chain[0]]))
+    information = np.zeros((4 + size, 4 + size))
+    information[:4, :4] = matrix.chain[1]
+    information[:4, 4:] = matrix.border[1]
+    information[4:, :4] = matrix.border[1].T
+    information[4:, 4:] = matrix.corner
+    information -= across.T @ gain[:, :-1]
+    gradient = np.concatenate([linear.chain[1], linear.border]) - across.T @ gain[:, -1]
+    return Past(0.5 * (information + information.T), gradient, Trajectory(at.agent[1:], at.still))
+
+
+def _place(problem: Problem, trajectory: Trajectory, marginals: Marginals, t: int) -> tuple[Array, Array]:
+    """Agent, anchors and walls of an epoch in the estimator's frame, then theta, and their covariance."""
+    layout, (basis, _) = problem.layout, problem.basis()
+    state = trajectory.still.copy()
+    state[Layout.AGENT] = trajectory.agent[t]
+    turn = rotation_matrix(problem.bearing_rad + float(state[layout.THETA]))
+    pairs = [slice(0, 2), slice(2, 4), *(layout.anchor_xy(k) for k in range(layout.anchors))]
+    pairs += [layout.wall(slot) for slot in range(layout.slots)]
+    linear = np.zeros((2 * len(pairs) + 1, layout.size))
+    values = np.empty(2 * len(pairs) + 1)
+    for i, pair in enumerate(pairs):
+        rows = slice(2 * i, 2 * i + 2)
+        values[rows] = turn @ state[pair]
+        linear[rows, pair] = turn
+        linear[rows, layout.THETA] = (-values[2 * i + 1], values[2 * i])
+    values[-1] = state[layout.THETA]
+    linear[-1, layout.THETA] = 1.0
+    by_agent, by_border = linear[:, Layout.AGENT], linear @ basis
+    mixed = by_agent @ marginals.cross[t] @ by_border.T
+    covariance = (
+        by_agent @ marginals.chain[t] @ by_agent.T
+        + mixed
+        + mixed.T
+        + by_border @ marginals.border @ by_border.T
+    )
+    return values, covariance
+
+
+def _collect(
+    layout: Layout,
+    places: list[tuple[Array, Array]],
+    cost: float,
+    trajectory: Trajectory,
+    marginals: Marginals,
+) -> Smoothed:
+    """Split what stands at each epoch into agent, anchors and walls."""
+    values = np.array([mean for mean, _ in places])
+    covariances = np.array([covariance for _, covariance in places])
+    points = values[:, 4:-1].reshape(len(values), -1, 2)
+    index = np.arange(4, values.shape[1] - 1).reshape(-1, 2)
+    blocks = covariances[:, index[:, :, None], index[:, None, :]]
+    return Smoothed(
+        values[:, :4],
+        covariances[:, :4, :4],
+        np.sqrt(covariances[:, -1, -1]),
+        points[:, : layout.anchors],
+        blocks[:, : layout.anchors],
+        points[:, layout.anchors :],
+        blocks[:, layout.anchors :],
+        cost,
+        trajectory,
+        marginals,
+    )

@@ -1,0 +1,78 @@
+"""Directions of arrival, sweeps on the way and clock bias, in whole runs and in detail."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimator.geometry import mirror_in_wall
+from estimator.slam import GaussianEngine, Prior, epoch_rng, run_slam
+from estimator.slam.gaussian.sweeps import predict_flashes
+from estimator.slam.run import config_for
+from tests.estimator.slam.test_features import state_of
+
+
+def last_error(result, room):
+    """Position error at the end, metres."""
+    return float(np.linalg.norm(result.agent_mean[-1, :2] - (room.track[-1] - room.track[0])))
+
+
+def test_flashes_are_the_agents_own_images(room):
+    """predict_flashes() equals the mirror image of the agent, relative to it, turned by theta."""
+    mean, layout = state_of(room, room.track[120])
+    mean[layout.THETA] = 0.3
+    flash, _ = predict_flashes(mean, layout)
+    image = mirror_in_wall(room.track[120], room.walls[:, 0], room.walls[:, 1]) - room.track[120]
+    c, s = np.cos(0.3), np.sin(0.3)
+    assert np.allclose(flash, image @ np.array([[c, -s], [s, c]]).T, atol=1e-9)
+
+
+def test_flash_jacobian_matches_central_differences(room):
+    """Analytic derivatives of flashes agree with central differences."""
+    mean, layout = state_of(room, room.track[120])
+    mean[layout.THETA] = 0.1
+    _, jacobian = predict_flashes(mean, layout)
+    for column in range(layout.size):
+        shift = np.zeros(layout.size)
+        shift[column] = 1e-5
+        ahead, behind = (predict_flashes(mean + s * shift, layout)[0] for s in (1, -1))
+        assert np.allclose(jacobian[..., column], (ahead - behind) / 2e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("extra", "rotation"),
+    [
+        ({"azimuth_std_rad": np.deg2rad(1.0)}, (0.0, 1.5e-3)),
+        ({"sweep_every": 10}, (0.0, 3e-3)),
+        ({"azimuth_std_rad": np.deg2rad(1.0), "heading_held": False}, (6e-3, 9.5e-3)),
+        ({"clock_bias_m": 5.0}, (6e-3, 9.5e-3)),
+    ],
+    ids=["azimuths", "sweeps", "azimuths without heading", "clock bias"],
+)
+def test_more_sensing_and_less_knowledge(room, extra, rotation):
+    """What tells the rotation narrows it, what does not leaves it; nothing loses the run."""
+    for seed in (60, 61):
+        result = run_slam(room.measure(seed, **extra))
+        low, high = rotation
+        assert low < result.rotation_std_rad[-1] < high
+        assert last_error(result, room) < 3.0 * np.sqrt(np.trace(result.agent_covariance[-1, :2, :2])) + 0.2
+        assert last_error(result, room) < 2.0
+
+
+def test_a_sweep_finds_a_wall_that_was_not_there(room):
+    """A wall in view of a later sweep alone enters, is heard, and counts as found."""
+    measured = room.measure(62, sweep_every=10)
+    result = run_slam(measured)
+    found = result.wall_mean_m[-1][result.wall_valid[-1]]
+    assert np.linalg.norm(found - room.vrps[4], axis=1).min() < 3.0
+
+
+def test_a_common_clock_stays_common(room):
+    """However an anchor's start shifts its clock, the others shift with it, in every hypothesis."""
+    measured = room.measure(3, clock_bias_m=10.0, epochs=3)
+    engine = GaussianEngine(config_for(measured))
+    state = engine.start(Prior.of(measured), epoch_rng(0, -1))
+    for epoch in measured.epochs:
+        state = engine.step(state, epoch, epoch_rng(0, epoch.index))
+        biases = state.rows.mean[:, [state.layout.bias(0), state.layout.bias(1)]]
+        np.testing.assert_allclose(biases[:, 0], biases[:, 1], atol=1e-6)
