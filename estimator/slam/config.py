@@ -10,6 +10,8 @@ from estimator.errors import ConfigurationError
 
 __all__ = ["GaussianConfig"]
 
+_BLIND_SUPPORT, _BLIND_PATIENCE = 2, 3.0  # times as much, while no wall is known
+
 
 @dataclass(frozen=True)
 class GaussianConfig:
@@ -194,6 +196,14 @@ class GaussianConfig:
             start_attempts=2 * self.start_attempts,
             max_hypotheses=2 * self.max_hypotheses,
             unlikely_sigma=self.alike_sigma,
+        )
+
+    def blind(self) -> GaussianConfig:
+        """The same models, in more doubt: while no wall is known, the first one decides on all others."""
+        return replace(
+            self,
+            confirm_support=_BLIND_SUPPORT * self.confirm_support,
+            prune_nats=_BLIND_PATIENCE * self.prune_nats,
         )
 
     @property

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.anchors.circles import Centres, images_of_agent
 from estimator.slam.anchors.labellings import labellings
-from estimator.slam.anchors.search import (
-    Candidates,
-    PathBatch,
-    best_of,
-    evidence_at,
-    locate,
-)
+from estimator.slam.anchors.search import Candidates, evidence_at, locate
+from estimator.slam.anchors.sight import PathBatch
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths, wall_side
 from estimator.slam.gaussian.hypotheses import tidy
@@ -75,23 +70,70 @@ def locate_anchors(state: GaussianState, paths: PathTable, config: GaussianConfi
         groups = (
             [np.array([state.rows.best])] if located else _alike(state.rows, waiting, state.layout.bias(k))
         )
-        forks = [_forks(state, paths, k, group, config, _MARGIN_NATS) for group in groups]
-        state = _joined(state, forks, config)
+        state = _forked(
+            state, [_places(state, paths, k, group, config) for group in groups], _MARGIN_NATS, config
+        )
     if early and len(state.trail) and not state.rows.located.any():
         everyone = np.arange(len(state.rows))
         for k in np.argsort(-np.sum(paths.valid, axis=1), kind="stable").tolist():
-            state = _joined(state, [_forks(state, paths, k, everyone, config, -np.inf)], config)
+            state = _forked(state, [_places(state, paths, k, everyone, config)], -np.inf, config)
             if state.rows.located.any():
                 break
     return state
 
 
-def _joined(state: GaussianState, forks: list[Rows | None], config: GaussianConfig) -> GaussianState:
-    """The state with the new rows, pruned; as it is if there are none."""
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Where an anchor may be, as seen from rows that agree on its clock.
+
+    Parameters
+    ----------
+    anchor : int
+        The anchor.
+    rows : ndarray of int64
+        The rows.
+    found : Candidates
+        Places.
+    enough : ndarray of bool, shape (S,)
+        Which of them explain enough.
+    centres : Centres
+        The circles they are from.
+    walls : dict of int to ndarray, shape (2,)
+        Known walls.
+    heard : PathTable
+        The epoch's paths.
+    """
+
+    anchor: int
+    rows: NDArray[np.int64]
+    found: Candidates
+    enough: NDArray[np.bool_]
+    centres: Centres
+    walls: dict[int, Array]
+    heard: PathTable
+
+
+def _forked(
+    state: GaussianState, places: list[_Places], margin: float, config: GaussianConfig
+) -> GaussianState:
+    """The state with a row for each of the rows and each place that explains enough; as it is if none does.
+
+    The best of these places has to beat those that explain too little by ``margin`` nats, from whichever
+    rows these are seen: rows whose anchor has to wait gain nothing by its paths, and would lose to worse
+    ones that have not.
+    """
+    weight = [float(state.rows.log_weight[each.rows].max()) for each in places]
+    best, rest = -np.inf, max(weight, default=0.0)
+    for own, each in zip(weight, places, strict=True):
+        best = max(best, own + float(each.found.log_evidence[each.enough].max(initial=-np.inf)))
+        rest = max(rest, own + float(each.found.log_evidence[~each.enough].max(initial=-np.inf)))
+    if not best > rest + margin:
+        return state
     rows = state.rows
-    for fork in forks:
-        rows = rows if fork is None else rows.joined(fork)
-    return state if rows is state.rows else replace(state, rows=tidy(rows, config))
+    for each in places:
+        if each.enough.any():
+            rows = rows.joined(_fork(state, each, config))
+    return replace(state, rows=tidy(rows, config))
 
 
 def _alike(rows: Rows, waiting: NDArray[np.int64], bias: int) -> list[NDArray[np.int64]]:
@@ -109,18 +151,10 @@ def _alike(rows: Rows, waiting: NDArray[np.int64], bias: int) -> list[NDArray[np
     return groups
 
 
-def _forks(
-    state: GaussianState,
-    paths: PathTable,
-    k: int,
-    rows: NDArray[np.int64],
-    config: GaussianConfig,
-    margin: float,
-) -> Rows | None:
-    """New rows, one for each of ``rows`` and each place of anchor ``k``; None if none is found.
-
-    The best place has to beat those that explain too little by ``margin`` nats.
-    """
+def _places(
+    state: GaussianState, paths: PathTable, k: int, rows: NDArray[np.int64], config: GaussianConfig
+) -> _Places:
+    """Places of anchor ``k``, as seen from the likeliest of ``rows``."""
     first = int(rows[np.argmax(state.rows.log_weight[rows])])
     located = bool(state.rows.located[first, k])
     centres, batch, walls = _gather(state, paths, k, first, config)
@@ -136,13 +170,7 @@ def _forks(
         bias = state.rows.mean[first, state.layout.bias(k)]
         shifted = replace(batch, length_m=np.maximum(batch.length_m - bias, 1e-3))
         enough &= rival & (found.log_evidence > evidence_at(here, centres, shifted, walls, config)[0])
-    if not enough.any():
-        return None
-    rest = max(float(found.log_evidence[~enough].max(initial=0.0)), 0.0)
-    if not found.log_evidence[enough].max() > rest + margin:
-        return None
-    chosen = Candidates(*(getattr(found, entry.name)[enough] for entry in fields(found)))
-    return _fork(state, paths, k, rows, chosen, centres, walls, config)
+    return _Places(k, rows, found, enough, centres, walls, paths)
 
 
 def _behind(points: Array, walls: dict[int, Array]) -> NDArray[np.int64]:
@@ -167,17 +195,12 @@ def _search(
     mean, std = float(state.rows.mean[row, b]), float(np.sqrt(state.rows.covariance[row, b, b]))
     seeds = np.array([state.epoch])
     if std < _BIAS_STEP_M:
-        loose = replace(batch, length_m=batch.length_m - mean, variance_m2=batch.variance_m2 + std**2)
-        return locate(centres, loose, walls, config, seeds).at_bias(mean)
-    tolerance = batch.variance_m2 + _BIAS_STEP_M**2 / 12.0
-    grid = np.arange(-3.0 * std, 3.0 * std + _BIAS_STEP_M, _BIAS_STEP_M)
-    found = []
-    for shift in grid:
-        length = batch.length_m - mean - shift
-        heard = PathBatch(np.maximum(length, 1e-3), tolerance, batch.epoch, batch.excess_loss_db)
-        log_prior = -0.5 * (shift / std) ** 2 + float(np.log(_BIAS_STEP_M / (std * np.sqrt(2.0 * np.pi))))
-        found.append(locate(centres, heard, walls, config, seeds).at_bias(mean + shift, log_prior))
-    return best_of(found, config)
+        wide = replace(batch, variance_m2=batch.variance_m2 + std**2)
+        return locate(centres, wide, walls, config, seeds, np.array([mean]))
+    shift = np.arange(-3.0 * std, 3.0 * std + _BIAS_STEP_M, _BIAS_STEP_M)
+    log_prior = -0.5 * (shift / std) ** 2 + np.log(_BIAS_STEP_M / (std * np.sqrt(2.0 * np.pi)))
+    wide = replace(batch, variance_m2=batch.variance_m2 + _BIAS_STEP_M**2 / 12.0)
+    return locate(centres, wide, walls, config, seeds, mean + shift, log_prior)
 
 
 def _doubtful(state: GaussianState, k: int, config: GaussianConfig) -> bool:
@@ -228,28 +251,20 @@ def _gather(
     return joined, batch, dict(zip(slots.tolist(), walls, strict=True))
 
 
-def _fork(
-    state: GaussianState,
-    paths: PathTable,
-    k: int,
-    rows: NDArray[np.int64],
-    found: Candidates,
-    centres: Centres,
-    walls: dict[int, Array],
-    config: GaussianConfig,
-) -> Rows:
-    """One new row for each of ``rows`` and each candidate place of anchor ``k``.
+def _fork(state: GaussianState, places: _Places, config: GaussianConfig) -> Rows:
+    """One new row for each of the rows and each place that explains enough.
 
     Neither the candidates' covariances are believed nor their labels: both come from walls
     held fixed. Each starts wide, and takes this epoch's paths into the joint Gaussian, where anchor
     and walls become correlated, once for each labelling that may be. Earlier epochs only
     chose the place; their lengths are not used as information again.
     """
-    layout = state.layout
+    layout, k, rows, centres, paths = state.layout, places.anchor, places.rows, places.centres, places.heard
+    found = Candidates(*(getattr(places.found, entry.name)[places.enough] for entry in fields(Candidates)))
     now = np.flatnonzero((centres.epoch == state.epoch) & (centres.bounces < 2))
     current = Centres(*(column[now] for column in vars(centres).values()))
     heard = paths.length_m[k][paths.valid[k]]
-    candidate, label = labellings(found, current, heard, walls)
+    candidate, label = labellings(found, current, heard, places.walls)
     count = len(candidate)
     group = np.repeat(np.arange(len(rows)), count) * len(found.mean_m) + np.tile(candidate, len(rows))
     candidate, label = np.tile(candidate, len(rows)), np.tile(label, (len(rows), 1))

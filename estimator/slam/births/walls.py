@@ -32,6 +32,7 @@ __all__ = ["Bank", "Line", "find_line", "may_bear", "wall_bank"]
 Array = NDArray[np.float64]
 _MOST_PARTS = 12  # of the spacing of bearings
 _SPAN_MARGIN_M = 1.0  # where a wall ends is known no better
+_WILD = 4.0  # standard deviations from which an epoch tells nothing: the agent was thought to be elsewhere
 _BLOCKED = 2  # pieces of paths that go through a wall if it is not there
 
 
@@ -261,7 +262,11 @@ def wall_bank(
 
 
 def _images(bearing: Array, flat: Array, variance: Array, position: Array) -> tuple[Array, Array]:
-    """The virtual anchor (B, 2) that fits a stretch best, on each bearing from its end, and its cost (B,)."""
+    """The virtual anchor (B, 2) that fits a stretch best, on each bearing from its end, and its cost (B,).
+
+    Epochs far off count no more than others: in the first of them the agent itself may have been taken for
+    its mirror image in the line through two anchors.
+    """
     unit = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     here = position[-1]
     reach = np.full(bearing.size, flat[-1])
@@ -270,9 +275,10 @@ def _images(bearing: Array, flat: Array, variance: Array, position: Array) -> tu
         distance = np.linalg.norm(offset, axis=-1)
         slope = np.sum(offset * unit, axis=-1) / distance
         error = flat[:, None] - distance
-        weight = slope / variance[:, None]
+        off = error**2 / variance[:, None]
+        weight = np.where(off < _WILD**2, slope / variance[:, None], 0.0)
         reach = reach + np.sum(weight * error, axis=0) / np.maximum(np.sum(weight * slope, axis=0), 1e-3)
-    return here + reach[:, None] * unit, 0.5 * np.sum(error**2 / variance[:, None], axis=0)
+    return here + reach[:, None] * unit, 0.5 * np.sum(np.minimum(off, _WILD**2), axis=0)
 
 
 def _parts(image: Array, cost: Array, anchor: Array, config: GaussianConfig) -> NDArray[np.int64]:

@@ -107,21 +107,20 @@ def step_many(
         raise InputError(f"epochs: expected one for each of {len(states)} states, got {len(epochs)}")
     for state, epoch in zip(states, epochs, strict=True):
         _check(state, epoch)
-    groups: dict[tuple[bool, *tuple[Hashable, ...]], list[int]] = {}
+    groups: dict[tuple[bool, bool, *tuple[Hashable, ...]], list[int]] = {}
     for i, (state, epoch) in enumerate(zip(states, epochs, strict=True)):
         passed = None if state.epoch < 0 else epoch.time_s - state.time_s
         first = len(state.trail) < _FIRST_EPOCHS
         alone = i if len(state.rows) > _MANY_ROWS else -1
         angles = any(paths.azimuth_rad is not None for paths in epoch.paths)
-        key = (first, alone, state.layout, passed, angles, epoch.heading_held)
+        blind = state.shared and not state.slots.confirmed.any()
+        key = (first, blind, alone, state.layout, passed, angles, epoch.heading_held)
         groups.setdefault(key, []).append(i)
     result = list(states)
-    for (first, *_), members in groups.items():
-        group = _step_alike(
-            [states[i] for i in members],
-            [epochs[i] for i in members],
-            config.widened() if first else config,
-        )
+    for (first, blind, *_), members in groups.items():
+        models = config.widened() if first else config
+        models = models.blind() if blind else models
+        group = _step_alike([states[i] for i in members], [epochs[i] for i in members], models)
         for i, state in zip(members, group, strict=True):
             result[i] = state
     return result

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from estimator.measurements import Epoch
 from estimator.slam.anchors.circles import Centres, images_of_agent
-from estimator.slam.anchors.search import Candidates, PathBatch, locate
+from estimator.slam.anchors.search import Candidates, locate
+from estimator.slam.anchors.sight import PathBatch
 from estimator.slam.config import GaussianConfig
 from estimator.slam.particle.cloud import Cloud, gaussian_cloud, moments_of, systematic
 from estimator.slam.particle.config import ParticleConfig

@@ -12,7 +12,8 @@ from estimator.slam import GaussianConfig, start, step
 from estimator.slam.anchors.circles import images_of_agent
 from estimator.slam.anchors.labellings import labellings
 from estimator.slam.anchors.locate import locate_anchors
-from estimator.slam.anchors.search import Candidates, PathBatch, evidence_at
+from estimator.slam.anchors.search import Candidates, evidence_at
+from estimator.slam.anchors.sight import PathBatch
 from estimator.slam.features import reflect
 from estimator.slam.gaussian.hindsight import look_back
 from estimator.slam.gaussian.paths import stack_paths

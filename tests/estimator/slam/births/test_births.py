@@ -48,6 +48,24 @@ def test_the_bank_is_fine_enough_for_anchors_near_the_wall(distance):
             assert step @ np.linalg.solve(cover, step) < 4.0
 
 
+def test_an_epoch_at_which_the_agent_was_thought_elsewhere_decides_nothing():
+    """With its mirror image in the track of the bank for one epoch, the wall stays as likely as without."""
+    anchor = np.array([55.0, 35.0])
+    image = reflect(anchor[None], TRUE[None])[0]
+    noise = 0.1 * np.random.default_rng(6).normal(size=len(TRACK))
+    line = Line(
+        0, np.arange(len(TRACK)), np.linalg.norm(TRACK - image, axis=1) + noise, np.full(len(TRACK), 0.1)
+    )
+    astray = TRACK.copy()
+    astray[1] += (-2.5, 3.9)
+    device, std, legs = np.array([*anchor, 0.0, 0.0]), np.full(len(TRACK), 0.05), np.empty((0, 2, 2))
+    for track in (TRACK, astray):
+        bank = wall_bank(line, track, std, device, NOTHING, NOTHING, legs, CONFIG)
+        near = np.linalg.norm(bank.mean_m - TRUE, axis=1) < CONFIG.confirm_radius_m
+        assert near.any()
+        assert bank.log_weight[near].max() > -3.0
+
+
 def test_paths_heard_leave_no_room_for_a_wall_across_them():
     """The mirror image of the wall about the track goes once two heard paths cross it; one may be clutter."""
     anchor = (55.0, 40.0)
