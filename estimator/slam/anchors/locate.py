@@ -291,12 +291,15 @@ def _fork(state: GaussianState, places: _Places, config: GaussianConfig) -> Rows
     feature = np.where(centres.bounces[now] == 0, 0, 1 + centres.wall[now])
     known = label >= 0
     prediction = predict_paths(new.mean, layout)
+    jacobian = prediction.derivatives(np.broadcast_to(feature, (len(label), layout.anchors, feature.size)))[
+        :, k
+    ]
     length = paths.length_m[k][np.maximum(label, 0)]
     std = np.maximum(paths.std_m[k][np.maximum(label, 0)], config.range_std_m)
     mean, covariance, log_density = kalman(
         new.mean,
         new.covariance,
-        np.where(known[..., None], prediction.jacobian[:, k, feature], 0.0),
+        np.where(known[..., None], jacobian, 0.0),
         np.where(known, length - prediction.length_m[:, k, feature], 0.0),
         np.where(known, std**2, 0.5 / np.pi),
     )

@@ -1,4 +1,4 @@
-"""Runs of the Gaussian engine whose noise is unkind: each was lost, or got a wall that is none, by one rule."""
+"""Runs of the Gaussian engine with unkind noise: each was lost, or got a wall that is none, by one rule."""
 
 from __future__ import annotations
 
