@@ -13,6 +13,8 @@ from enum import StrEnum
 from importlib import import_module, metadata
 from importlib.util import find_spec
 from pathlib import Path
+from statistics import median
+from timeit import repeat
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["register"]
 
 _PACKAGES = ("hapslam", "numpy", "scipy", "sionna-rt", "mitsuba", "drjit", "fastapi", "sqlalchemy")
+_OPERATIONS = 20_000
 
 
 class Part(StrEnum):
@@ -89,7 +92,9 @@ def _print_table(about: dict[str, Any], rows: Iterator[tuple[Part, Row]]) -> Non
     console = Console()
     machine = about["machine"]
     console.print(
-        f"{about['time']}: {machine['cpu']}, {machine['cores']} cores; {machine['system']}", highlight=False
+        f"{about['time']}: {machine['cpu']}, {machine['cores']} cores; {machine['system']}; "
+        f"a small NumPy operation takes {machine['small_operation_us']:.2f} us",
+        highlight=False,
     )
     console.print(
         ", ".join(f"{name} {version}" for name, version in about["versions"].items()), highlight=False
@@ -113,7 +118,20 @@ def _print_table(about: dict[str, Any], rows: Iterator[tuple[Part, Row]]) -> Non
 
 def _machine() -> dict[str, Any]:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return {"cpu": _cpu(), "cores": cores, "system": platform.platform(terse=True)}
+    return {
+        "cpu": _cpu(),
+        "cores": cores,
+        "system": platform.platform(terse=True),
+        "small_operation_us": _small_operation_us(),
+    }
+
+
+def _small_operation_us() -> float:
+    """What NumPy takes to add ten numbers: it tells the figures of a slow or busy machine from others."""
+    import numpy as np
+
+    ten = np.ones(10)
+    return 1e6 * median(repeat(lambda: ten + ten, number=_OPERATIONS, repeat=7)) / _OPERATIONS
 
 
 def _cpu() -> str:

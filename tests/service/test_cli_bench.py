@@ -22,6 +22,7 @@ def test_the_estimator_is_measured_in_earnest(main: Runner) -> None:
     assert run.status == 0, run.err
     found = json.loads(run.out)
     assert found["machine"]["cores"] >= 1
+    assert 0.01 < found["machine"]["small_operation_us"] < 100.0
     assert {"python", "numpy", "scipy"} <= set(found["versions"])
     rows = found["rows"]
     assert [row["part"] for row in rows] == ["estimator"] * len(rows)
