@@ -73,7 +73,8 @@ class Score:
     nees : ndarray, shape (T,)
         Normalised squared position error per dimension; NaN where the position is known.
     ospa_m : ndarray, shape (T,)
-        OSPA distance (order 1, cut-off 10 m) of the VRPs from those of the walls due.
+        OSPA distance (order 1, cut-off 10 m) of the VRPs from those of the walls due. Estimates of other
+        walls that are there, found early or reflecting in passing only, are left out.
     rotation_rad : float
         By how much the track is turned about RP.
     walls_false : int
@@ -204,7 +205,7 @@ def score(result: SlamResult, room: Room, seconds: float = 0.0) -> Score:
     turn = float(best_rotation(track, room.track_m))
     vrps = room.scenario.vrps_m
     set_distance = [
-        ospa(mean[valid], vrps[due], _JUDGE.ospa_cutoff_m, _JUDGE.ospa_order)
+        ospa(_required(mean[valid], vrps, due), vrps[due], _JUDGE.ospa_cutoff_m, _JUDGE.ospa_order)
         for mean, valid, due in zip(result.wall_mean_m, result.wall_valid, room.walls_due, strict=True)
     ]
     false, delays = _walls(result, room, turn)
@@ -218,6 +219,12 @@ def score(result: SlamResult, room: Room, seconds: float = 0.0) -> Score:
         delays,
         seconds,
     )
+
+
+def _required(estimates: Array, vrps: Array, due: NDArray[np.bool_]) -> Array:
+    """The estimates but for those of walls that are there and need not be found: none of them is too many."""
+    spare = [i for i, wall in match(estimates, vrps, _JUDGE.wall_gate_m) if not due[wall]]
+    return np.delete(estimates, spare, axis=0)
 
 
 def _nees(error: Array, covariance: Array) -> Array:

@@ -85,6 +85,8 @@ def may_judge(states: Sequence[GaussianState]) -> NDArray[np.bool_]:
 def judge(state: GaussianState, config: GaussianConfig) -> GaussianState:
     """Confirm pending walls that nearly all the weight agrees on; give up those that linger.
 
+    One that only waits to be heard more often, as do those that sweeps have shown, is none of these.
+
     A virtual anchor is there if it is heard, wherever it stands: before the track bends it may be
     itself or its mirror image in the track, and the epochs to come decide.
     """
@@ -93,11 +95,14 @@ def judge(state: GaussianState, config: GaussianConfig) -> GaussianState:
         have = rows.present[:, slot]
         alike = _agreeing(state, int(slot), config) if state.shared else have
         support = rows.support[alike, slot].max(initial=0)
-        if weight[alike].sum() > config.confirm_weight and support >= config.confirm_support:
+        agreed = bool(weight[alike].sum() > config.confirm_weight)
+        if agreed and support >= config.confirm_support:
             slots = state.slots.copy()
             slots.confirmed[slot] = True
             state = replace(state, slots=slots, rows=rows.keep(alike))
-        elif weight[have].sum() < 1e-5 or _overdue(state, int(slot), config):
+        elif weight[have].sum() < 1e-5 or (
+            _overdue(state, int(slot), config) and not (agreed and support > 0)
+        ):
             state = _close_slot(state, int(slot))
     return state
 

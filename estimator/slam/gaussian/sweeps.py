@@ -27,6 +27,9 @@ __all__ = ["predict_flashes", "take_sweep"]
 
 Array = NDArray[np.float64]
 _ANY_HEADING_RAD = 2.0 * np.pi / np.sqrt(12.0)
+_UNLIKE = (
+    1.5  # times the gate: a flash nearer to a known wall is that wall's, though a bad one, and no new wall
+)
 _QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
@@ -93,9 +96,9 @@ def take_sweep(
         turned = 0.0 if heading_held else _heading(state, r, seen, noise)
         back = rotation_matrix(-turned)
         here, spread = seen @ back.T, back @ noise @ back.T
-        slot = _match(state, r, here, spread, config)
+        slot, nearest = _match(state, r, here, spread, config)
         if r == state.rows.best:
-            new = slot < 0
+            new = nearest > (_UNLIKE * config.gate_sigma) ** 2
         mean, covariance, log_density = _update(state, r, here, spread, slot, heading_held)
         rows.mean[r], rows.covariance[r] = mean, covariance
         rows.log_weight[r] += log_density
@@ -112,8 +115,11 @@ def _present(state: GaussianState, row: int) -> NDArray[np.int64]:
 
 def _match(
     state: GaussianState, row: int, seen: Array, noise: Array, config: GaussianConfig
-) -> NDArray[np.int64]:
-    """The slot (J,) of the wall that each flash comes from, -1 for a wall not known."""
+) -> tuple[NDArray[np.int64], Array]:
+    """The slot (J,) of the wall that each flash comes from, -1 for none; how far off (J,) the nearest one is.
+
+    That is a squared distance in standard deviations, of all known walls.
+    """
     layout, slots = state.layout, _present(state, row)
     flash, jacobian = predict_flashes(state.rows.mean[row], layout)
     result = np.full(len(seen), -1)
@@ -123,11 +129,12 @@ def _match(
         for j in range(len(seen)):
             gap = seen[j] - flash[slot]
             cost[j, i] = gap @ np.linalg.solve(spread + noise[j], gap)
+    nearest = cost.min(axis=1, initial=np.inf)
     while cost.size and cost.min() < config.gate_sigma**2:
         j, i = (int(n) for n in np.unravel_index(int(np.argmin(cost)), cost.shape))
         result[j] = slots[i]
         cost[j, :], cost[:, i] = np.inf, np.inf
-    return result
+    return result, nearest
 
 
 def _heading(state: GaussianState, row: int, seen: Array, noise: Array) -> float:

@@ -67,6 +67,23 @@ def test_a_perfect_run_has_no_errors(perfect: tuple[Room, SlamResult]) -> None:
     np.testing.assert_allclose(judged.ospa_m, expected, atol=1e-12)
 
 
+def test_a_wall_seen_in_passing_is_none_too_many(perfect: tuple[Room, SlamResult]) -> None:
+    """The sixth wall reflects for a moment only: who finds it loses nothing, and a false wall costs 10/6."""
+    room, result = perfect
+    assert not room.walls_due[-1, 5]
+
+    def more(vrp: np.ndarray) -> Score:
+        mean = np.concatenate([result.wall_mean_m, np.tile(vrp, (room.steps, 1, 1))], axis=1)
+        valid = np.concatenate([result.wall_valid, np.ones((room.steps, 1), dtype=bool)], axis=1)
+        return score(replace(result, wall_mean_m=mean, wall_valid=valid), room)
+
+    with_it, false = more(room.scenario.vrps_m[5]), more(np.array([30.0, 100.0]))
+    np.testing.assert_allclose(with_it.ospa_m, score(result, room).ospa_m, atol=1e-12)
+    assert with_it.walls_false == 0
+    assert false.ospa_m[-1] == pytest.approx(10.0 / 6.0)
+    assert false.walls_false == 1
+
+
 def test_rotation_is_told_from_other_errors(perfect: tuple[Room, SlamResult]) -> None:
     """A map turned by 10 mrad errs by distance times angle, and not at all with the rotation removed."""
     room, result = perfect
