@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.geometry import mirror_in_wall
+from estimator.geometry import mirror_in_wall, rotation_matrix
+from estimator.measurements import GaussianVrp
 from estimator.slam import GaussianEngine, Prior, epoch_rng, run_slam
-from estimator.slam.gaussian.sweeps import predict_flashes
+from estimator.slam.gaussian.sweeps import predict_flashes, take_sweep
 from estimator.slam.run import config_for
 from tests.estimator.slam.test_features import state_of
 
@@ -65,6 +66,25 @@ def test_a_sweep_finds_a_wall_that_was_not_there(room):
     result = run_slam(measured)
     found = result.wall_mean_m[-1][result.wall_valid[-1]]
     assert np.linalg.norm(found - room.vrps[4], axis=1).min() < 3.0
+
+
+@pytest.mark.parametrize(("sigma", "entered"), [(3.0, 0), (5.0, 0), (9.0, 1)])
+def test_a_bad_flash_of_a_known_wall_is_no_new_wall(room, sigma, entered):
+    """A flash off by 3 standard deviations corrects, by 5 does nothing, by 9 is another wall's."""
+    measured = room.measure(63, epochs=12)
+    engine = GaussianEngine(config_for(measured))
+    state = engine.start(Prior.of(measured), epoch_rng(0, -1))
+    for epoch in measured.epochs:
+        state = engine.step(state, epoch, epoch_rng(0, epoch.index))
+    flash, jacobian = predict_flashes(state.rows.mean[state.rows.best], state.layout)
+    noise = 0.2 * np.eye(2)
+    spread = jacobian[0] @ state.rows.covariance[state.rows.best] @ jacobian[0].T + noise
+    to_agent = rotation_matrix(state.bearing_rad)
+    off = flash[0] + sigma * np.linalg.cholesky(spread)[:, 0]
+    after = take_sweep(state, [GaussianVrp(to_agent @ off, noise)], True, engine.models)
+    assert np.sum(after.slots.wall_id >= 0) - np.sum(state.slots.wall_id >= 0) == entered
+    moved = np.linalg.norm(after.rows.mean[:, :2] - state.rows.mean[:, :2])
+    assert (moved > 1e-6) == (sigma == 3.0)
 
 
 def test_a_common_clock_stays_common(room):
