@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 _BIAS_STEP_M = 1.0  # spacing of the clock biases that are tried
 _MOST_BIASES = 10  # searched for further anchors
 _STRIDE = 4  # epochs between those of a window that are searched
+_FRESH = 1.8  # features that the present epoch must have heard
 _ODDS = 1.0  # that a feature is measured
 _MARGIN_NATS = 2.0  # by which a place must beat those that explain too little, and no place at all
 _RECHECK = 8  # epochs between doubts of a located anchor
@@ -159,10 +160,8 @@ def _places(
     located = bool(state.rows.located[first, k])
     centres, batch, walls = _gather(state, paths, k, first, config)
     found = _search(state, k, first, centres, batch, walls, config)
-    now = centres.epoch == state.epoch
     epochs = np.unique(batch.epoch).size
-    fresh = np.sum((found.label >= 0) & now & (centres.bounces < 2), axis=1)
-    enough = (found.matches >= config.start_matches - (epochs > 1)) & (fresh >= 2)
+    enough = (found.matches >= config.start_matches - (epochs > 1)) & (found.fresh >= _FRESH)
     if located:
         here = state.rows.mean[state.rows.best, state.layout.anchor(k)][None, :2]
         rival = np.linalg.norm(found.mean_m - here, axis=1) > config.restart_distance_m

@@ -29,7 +29,6 @@ _REFINED, _REFINED_IN_ALL = (
     600,
 )  # intersections that are refined and weighed, of one clock bias and of all
 _SHORTEST_M = 1e-3  # a path, whatever the clock says
-_SURE = 0.9  # association probability from which a label is believed
 _BEHIND_LOG_PRIOR = -2.5  # of standing behind a known wall: anchors are rarely in other rooms
 _NO_BIAS = np.zeros(1)
 
@@ -48,8 +47,8 @@ class Candidates:
         Log evidence over "all is clutter".
     matches : ndarray of int64, shape (S,)
         Number of features of up to one bounce that most epochs heard.
-    label : ndarray of int64, shape (S, C)
-        For each centre the path that belongs to it, -1 for none or if in doubt.
+    fresh : ndarray, shape (S,)
+        How many of these features the last epoch is expected to have heard.
     bias_m : ndarray, shape (S,)
         Clock bias that was taken off the path lengths.
     """
@@ -58,7 +57,7 @@ class Candidates:
     covariance_m2: Array
     log_evidence: Array
     matches: NDArray[np.int64]
-    label: NDArray[np.int64]
+    fresh: Array
     bias_m: Array
 
 
@@ -173,7 +172,7 @@ def locate(
         np.empty((0, 2, 2)),
         np.empty(0),
         np.empty(0, dtype=np.int64),
-        np.empty((0, len(centres.epoch)), dtype=np.int64),
+        np.empty(0),
         np.empty(0),
     )
     seeds, kind = _seeds(centres, paths, seed_epochs, bias_m)
@@ -209,12 +208,12 @@ def locate(
     )
     if len(points) == 0:
         return none
-    total, label, matches = _weigh(points, bias, information, heard, walls, config)
+    total, matches, fresh = _weigh(points, bias, information, heard, walls, config)
     total = total + log_prior
     covariance = np.linalg.inv(information)
     kept = _distinct(np.column_stack([points, bias]), total, 0.5, config.start_attempts)
     kept = kept[total[kept] > total[kept[0]] - config.prune_nats]
-    return Candidates(points[kept], covariance[kept], total[kept], matches[kept], label[kept], bias[kept])
+    return Candidates(points[kept], covariance[kept], total[kept], matches[kept], fresh[kept], bias[kept])
 
 
 def evidence_at(
@@ -234,15 +233,15 @@ def _weigh(
     heard: Heard,
     walls: dict[int, Array],
     config: GaussianConfig,
-) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Log evidence (S,), labels (S, C) and numbers of explained first-order features (S,).
+) -> tuple[Array, NDArray[np.int64], Array]:
+    """Log evidence (S,), numbers of explained first-order features (S,), and of those of the last epoch (S,).
 
     Over a few epochs a feature is visible all along or not at all: belief propagation between
     the epochs' associations tells which. A feature counts if most epochs heard it.
     """
     relative, prior = see(points, bias, heard, config).relative, prior_visibility(points, heard, walls)
-    epochs = len(heard.centre)
-    label = np.full((len(points), heard.centre.size), -1)
+    epochs = len(heard.x)
+    first = heard.bounces < 2
     often = np.zeros(prior.shape)
     log_ratio = np.zeros((len(points), epochs, prior.shape[1]))  # of being visible, over not
     contest = np.zeros((len(points), epochs))
@@ -258,17 +257,13 @@ def _weigh(
             log_ratio[:, e] = np.log(1.0 - pd + pd * told.sum(axis=-1))
             own = np.log1p((ratio * association.message).sum(axis=-1)).sum(axis=-1)
             contest[:, e] = association.log_evidence - own
-            if sweep < last:
-                continue
-            share = association.probability
-            often += share.sum(axis=-1) / epochs
-            likely = share.max(axis=-1, initial=0.0) > _SURE
-            if share.shape[-1]:
-                label[:, heard.centre[e]] = np.where(likely, heard.path[e][np.argmax(share, axis=-1)], -1)
+            if sweep == last:
+                share = association.probability.sum(axis=-1)
+                often += share / epochs
     total = np.sum(np.log(1.0 - prior + prior * np.exp(np.minimum(log_ratio.sum(axis=1), 300.0))), axis=-1)
     total = total + contest.sum(axis=-1)
     for vrp in walls.values():
         total = total + np.where(wall_side(points, vrp) > 0.0, _BEHIND_LOG_PRIOR, 0.0)
     area = np.pi * config.region_m**2  # the prior, and Laplace's approximation of the integral
     total = total - 0.5 * np.linalg.slogdet(information)[1] + np.log(2.0 * np.pi / area)
-    return total, label, np.sum((often > 0.5) & (heard.bounces < 2), axis=-1)
+    return total, np.sum((often > 0.5) & first, axis=-1), share[:, first].sum(axis=-1)

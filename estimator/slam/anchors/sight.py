@@ -44,8 +44,6 @@ class Heard:
 
     Parameters
     ----------
-    centre, path : ndarray of int64, shapes (E, Q) and (E, M)
-        Which of the centres, and which of the paths; 0 where an epoch has fewer paths.
     x, y : ndarray, shape (E, Q)
         Centres.
     xx, xy, yy : ndarray, shape (E, Q)
@@ -58,8 +56,6 @@ class Heard:
         Intensity of clutter in units of the density of the path's loss.
     """
 
-    centre: NDArray[np.int64]
-    path: NDArray[np.int64]
     x: Array
     y: Array
     xx: Array
@@ -87,8 +83,6 @@ class Heard:
         bounces = centres.bounces[centre[0]]
         ratio = _loss_ratio(paths, bounces)[:, path].swapaxes(0, 1)
         return cls(
-            centre,
-            path,
             x,
             y,
             spread[..., 0, 0],

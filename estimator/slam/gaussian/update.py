@@ -21,6 +21,7 @@ from estimator.slam.gaussian.hearing import Hearing, Near
 from estimator.slam.gaussian.kalman import kalman
 from estimator.slam.gaussian.packing import packed
 from estimator.slam.gaussian.paths import PathTable
+from estimator.slam.gaussian.swaps import exchange_odds, with_exchange
 from estimator.slam.layout import Layout
 
 __all__ = ["Correction", "correct"]
@@ -138,9 +139,10 @@ def correct(
         mean, covariance, prediction, chance, epoch.beside(prediction.length_m, chance, free), free
     )
     sure: Mask = np.asarray(associate(near.ratio).probability > _SURE, dtype=bool)
-    taken: Mask = np.asarray(np.any(sure, axis=-1))  # (R, K, C)
-    used: Mask = np.asarray(np.any(sure, axis=-2))  # (R, K, M)
-    label = np.where(taken, np.argmax(sure, axis=-1), -1)
+    label = np.where(np.any(sure, axis=-1), np.argmax(sure, axis=-1), -1)
+    taken: Mask = np.asarray((label >= 0) & np.all(exchange_odds(near.ratio, label) < 1.0 - _SURE, axis=-1))
+    label = np.where(taken, label, -1)  # (R, K, C)
+    used: Mask = np.asarray(np.any(sure & taken[..., None], axis=-2))  # (R, K, M)
     first = np.take_along_axis(near.innovation, label[..., None], axis=-1)[..., 0]
     noise = np.take_along_axis(epoch.variance[:, :, None, :], label[..., None], axis=-1)[..., 0]
     own = np.take_along_axis(chance, near.feature, axis=2)
@@ -218,22 +220,25 @@ def _second_pass(
     prediction = predict_paths(mean, layout)
     near = epoch.near(mean, covariance, prediction, chance, could, free)
     association = associate(near.ratio)
-    log_evidence = np.sum(association.log_evidence, axis=-1)
-    share = association.probability  # (S, K, C, M)
+    log_evidence, decisions = np.sum(association.log_evidence, axis=-1), np.zeros(len(mean))
+    share = with_exchange(association.probability, near.ratio)  # (S, K, C, M)
     parent = np.arange(len(mean))
     size = np.bincount(runs, minlength=1)
     for turn in range(_SPLITS):
         may = np.asarray((size[run] <= _FEW_ROWS) | (turn == 0))
-        split, new, decided, log_share = _split(
+        split, new, decided, log_ratio = _split(
             share, near.ratio, near.innovation, near.spread, epoch.variance, may
         )
         if not new.size:
             break
         size = size + np.bincount(run[split], minlength=len(size)) - np.bincount(run, minlength=len(size))
-        mean, covariance, log_evidence = mean[split], covariance[split], log_evidence[split] + log_share
+        mean, covariance, log_evidence = mean[split], covariance[split], log_evidence[split]
         near, epoch, run, parent = near.of_rows(split), epoch.of_rows(split), run[split], parent[split]
-        share = share[split]
-        near.ratio[new], share[new] = decided, associate(decided).probability
+        share, decisions = share[split], decisions[split] + log_ratio
+        association = associate(decided)
+        near.ratio[new], share[new] = decided, with_exchange(association.probability, decided)
+        log_evidence[new] = np.sum(association.log_evidence, axis=-1)
+    log_evidence = log_evidence + decisions
     heard = share.sum(axis=-1)
     weight = np.maximum(heard, 1e-12)
     expected = np.sum(share * near.innovation, axis=-1) / weight
@@ -266,8 +271,8 @@ def _split(
         The new rows in which something was decided.
     decided : ndarray, shape (D, K, F, M)
         Their association ratios.
-    log_share : ndarray, shape (S,)
-        Log probability of the alternative.
+    log_ratio : ndarray, shape (S,)
+        Log ratio of what was decided, over what it stands for in ``decided``.
     """
     noise = variance[:, :, None, :]
     s = spread[..., None] + noise
@@ -279,7 +284,7 @@ def _split(
     worst = np.argmax(harm, axis=1)
     torn = np.flatnonzero(may & (harm.max(axis=1) >= _APART**2))
     count = np.ones(len(share), dtype=np.int64)
-    decided, log_share = [np.empty((0, *ratio.shape[1:]))], [np.empty(0)]
+    decided, log_ratio = [np.empty((0, *ratio.shape[1:]))], [np.empty(0)]
     for r in torn.tolist():
         k, f = np.unravel_index(worst[r], spread.shape[1:])
         chances = np.append(share[r, k, f], max(1.0 - share[r, k, f].sum(), 0.0))
@@ -293,9 +298,10 @@ def _split(
                 way[k, :, j] = 0.0
                 way[k, f, j] = _CERTAIN
         decided.append(ways)
-        log_share.append(np.log(chances[likely]))
+        given = np.append(ratio[r, k, f] / _CERTAIN, 1.0)[likely]
+        log_ratio.append(np.log(given))
     parent = np.repeat(np.arange(len(share)), count)
     new = np.flatnonzero(np.isin(parent, torn))
-    shares = np.zeros(len(parent))
-    shares[new] = np.concatenate(log_share)
-    return parent, new, np.concatenate(decided), shares
+    ratios = np.zeros(len(parent))
+    ratios[new] = np.concatenate(log_ratio)
+    return parent, new, np.concatenate(decided), ratios

@@ -1,0 +1,56 @@
+"""Two features near the same two paths: how likely it is that they are exchanged.
+
+On a cycle of two features and two measurements belief propagation counts the evidence twice: odds of
+ten to one become hundred to one. Just there, where two paths cross, the exchange is a matter of four ratios.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["exchange_odds", "with_exchange"]
+
+Array = NDArray[np.float64]
+
+
+def exchange_odds(ratio: Array, label: NDArray[np.int64]) -> Array:
+    """Odds (..., F, F) that two features exchange their measurements, over that they keep them.
+
+    Parameters
+    ----------
+    ratio : ndarray, shape (..., F, M)
+        As for :func:`estimator.slam.association.associate`.
+    label : ndarray of int64, shape (..., F)
+        The measurement that each feature has, -1 for none.
+    """
+    taken = label >= 0
+    column = np.maximum(label, 0)
+    others = np.take_along_axis(
+        ratio, np.broadcast_to(column[..., None, :], (*label.shape, label.shape[-1])), -1
+    )
+    own = np.where(taken, np.diagonal(others, axis1=-2, axis2=-1), np.inf)
+    odds = others * np.swapaxes(others, -1, -2) / (own[..., :, None] * own[..., None, :])
+    odds[..., np.arange(label.shape[-1]), np.arange(label.shape[-1])] = 0.0
+    return np.asarray(odds)
+
+
+def with_exchange(share: Array, ratio: Array) -> Array:
+    """Association probabilities (..., F, M) of belief propagation, with what exchanges leave of them.
+
+    Of each feature's exchanges the likeliest counts.
+    """
+    label = np.where(share.max(axis=-1, initial=0.0) > 0.5, np.argmax(share, axis=-1), -1)
+    odds = exchange_odds(ratio, label)
+    partner = np.argmax(odds, axis=-1)
+    chance = np.take_along_axis(odds, partner[..., None], axis=-1)[..., 0]
+    chance = chance / (1.0 + chance)
+    some = np.nonzero(chance > 0.0)
+    if some[0].size == 0:
+        return share
+    share = share.copy()
+    mine, other = label[some], label[(*some[:-1], partner[some])]
+    total = share[(*some, mine)] + share[(*some, other)]
+    swapped = np.maximum(share[(*some, other)], total * chance[some])
+    share[(*some, other)], share[(*some, mine)] = swapped, total - swapped
+    return share
