@@ -3,7 +3,8 @@
 Two passes. Pairs of feature and measurement that are beyond doubt are taken first,
 all at once and with the joint density of their innovations; what is left is
 predicted again, associated by belief propagation and taken with its probabilities.
-Where two paths cross, the second pass is much surer than the first would be.
+Where two paths cross, the second pass is much surer than the first would be; that the two are exchanged
+is weighed exactly (:mod:`estimator.slam.gaussian.swaps`).
 """
 
 from __future__ import annotations
