@@ -29,6 +29,7 @@ _REFINED, _REFINED_IN_ALL = (
     600,
 )  # intersections that are refined and weighed, of one clock bias and of all
 _SHORTEST_M = 1e-3  # a path, whatever the clock says
+_SURE = 0.9  # association probability from which a path is believed to be a feature's
 _BEHIND_LOG_PRIOR = -2.5  # of standing behind a known wall: anchors are rarely in other rooms
 _NO_BIAS = np.zeros(1)
 
@@ -47,8 +48,8 @@ class Candidates:
         Log evidence over "all is clutter".
     matches : ndarray of int64, shape (S,)
         Number of features of up to one bounce that most epochs heard.
-    fresh : ndarray, shape (S,)
-        How many of these features the last epoch is expected to have heard.
+    fresh : ndarray of int64, shape (S,)
+        How many of these features the last epoch surely heard.
     bias_m : ndarray, shape (S,)
         Clock bias that was taken off the path lengths.
     """
@@ -57,7 +58,7 @@ class Candidates:
     covariance_m2: Array
     log_evidence: Array
     matches: NDArray[np.int64]
-    fresh: Array
+    fresh: NDArray[np.int64]
     bias_m: Array
 
 
@@ -172,7 +173,7 @@ def locate(
         np.empty((0, 2, 2)),
         np.empty(0),
         np.empty(0, dtype=np.int64),
-        np.empty(0),
+        np.empty(0, dtype=np.int64),
         np.empty(0),
     )
     seeds, kind = _seeds(centres, paths, seed_epochs, bias_m)
@@ -233,7 +234,7 @@ def _weigh(
     heard: Heard,
     walls: dict[int, Array],
     config: GaussianConfig,
-) -> tuple[Array, NDArray[np.int64], Array]:
+) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """Log evidence (S,), numbers of explained first-order features (S,), and of those of the last epoch (S,).
 
     Over a few epochs a feature is visible all along or not at all: belief propagation between
@@ -242,7 +243,7 @@ def _weigh(
     relative, prior = see(points, bias, heard, config).relative, prior_visibility(points, heard, walls)
     epochs = len(heard.x)
     first = heard.bounces < 2
-    often = np.zeros(prior.shape)
+    often, sure = np.zeros(prior.shape), np.zeros(prior.shape, dtype=bool)
     log_ratio = np.zeros((len(points), epochs, prior.shape[1]))  # of being visible, over not
     contest = np.zeros((len(points), epochs))
     pd, last = config.detection_probability, min(epochs, 2) - 1
@@ -258,12 +259,12 @@ def _weigh(
             own = np.log1p((ratio * association.message).sum(axis=-1)).sum(axis=-1)
             contest[:, e] = association.log_evidence - own
             if sweep == last:
-                share = association.probability.sum(axis=-1)
-                often += share / epochs
+                often += association.probability.sum(axis=-1) / epochs
+                sure = association.probability.max(axis=-1, initial=0.0) > _SURE
     total = np.sum(np.log(1.0 - prior + prior * np.exp(np.minimum(log_ratio.sum(axis=1), 300.0))), axis=-1)
     total = total + contest.sum(axis=-1)
     for vrp in walls.values():
         total = total + np.where(wall_side(points, vrp) > 0.0, _BEHIND_LOG_PRIOR, 0.0)
     area = np.pi * config.region_m**2  # the prior, and Laplace's approximation of the integral
     total = total - 0.5 * np.linalg.slogdet(information)[1] + np.log(2.0 * np.pi / area)
-    return total, np.sum((often > 0.5) & first, axis=-1), share[:, first].sum(axis=-1)
+    return total, np.sum((often > 0.5) & first, axis=-1), np.sum(sure & first, axis=-1)

@@ -75,7 +75,7 @@ def test_paths_of_similar_length_get_both_labels():
     place = np.array([[12.0, 9.0]])
     length = np.linalg.norm(place - centres.point_m, axis=1)
     paths = np.array([length[0], length[1] - 0.4, length[1] + 0.3, 90.0])
-    found = Candidates(place, np.eye(2)[None], np.zeros(1), np.array([3]), np.full(1, 3.0), np.zeros(1))
+    found = Candidates(place, np.eye(2)[None], np.zeros(1), np.array([3]), np.array([3]), np.zeros(1))
     candidate, label = labellings(found, centres, paths, WALLS)
     chosen = {tuple(row) for row in label.tolist()}
     assert set(candidate.tolist()) == {0}
