@@ -33,6 +33,7 @@ _PROBABILITIES = (
     "appear_probability",
     "vanish_probability",
 )
+_ANYWHERE_M = 1e6
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,9 @@ class ParticleConfig:
         Features less likely to exist than this are dropped.
     detect_threshold : float
         Existence probability from which a feature counts as found, (35).
+    found_std_m : float
+        Standard deviation per axis up to which a feature that exists counts as found, metres. A path alone
+        puts a feature on a circle, whose middle is no place.
     similarity_m : float
         Features closer than this are one, (48), metres.
     worse_ratio : float
@@ -112,6 +116,7 @@ class ParticleConfig:
     new_mean: float = 1e-4
     prune_probability: float = 1e-4
     detect_threshold: float = 0.5
+    found_std_m: float = 5.0
     similarity_m: float = 1.0
     worse_ratio: float = 100.0
     start_visibility: float = 0.5
@@ -138,9 +143,10 @@ class ParticleConfig:
         """The same models with the paper's inference to the letter.
 
         One pairing of particles, features that hardly move (variance 1e-8), one detection
-        probability for all pairs of anchor and feature, and updates refused as soon as the
-        variance rises. In the paper's room (10,000 particles, 8 runs, hybrid) that loses 4
-        runs and most walls; the defaults lose none.
+        probability for all pairs of anchor and feature, updates refused as soon as the
+        variance rises, and features found as soon as they exist, on whatever circle. In the
+        paper's room (10,000 particles, 8 runs, hybrid) that loses 4 runs and most walls; the
+        defaults lose none.
         """
         return replace(
             self,
@@ -150,6 +156,7 @@ class ParticleConfig:
             appear_probability=0.0,
             vanish_probability=0.0,
             worse_ratio=1.0,
+            found_std_m=_ANYWHERE_M,
         )
 
     @property

@@ -198,6 +198,8 @@ class ParticleEngine:
         found: list[Wall] = []
         for j in np.flatnonzero(existence >= self.config.detect_threshold):
             mean, covariance = moments_of(_vrp_cloud(state, int(j)))
+            if np.trace(covariance) > 2.0 * self.config.found_std_m**2:
+                continue
             wall = (int(state.features.wall_id[j]), mean, covariance, min(float(existence[j]), 1.0))
             for i, other in enumerate(found):
                 if np.linalg.norm(wall[1] - other[1]) < self.config.similarity_m:
@@ -212,17 +214,16 @@ class ParticleEngine:
     def _candidates(self, state: ParticleState, agent_m: Array) -> tuple[Candidate, ...]:
         """The walls that are not found yet, the likeliest first."""
         existence = state.features.existence
-        order = np.argsort(-existence, kind="stable")
-        waiting = [j for j in order if LEAST_WEIGHT <= existence[j] < self.config.detect_threshold]
-        return tuple(
-            Candidate(
-                float(existence[j]),
-                agent_m,
-                state.features.wall_id[[j]],
-                moments_of(_vrp_cloud(state, int(j)))[0][None],
-            )
-            for j in waiting[:MOST]
-        )
+        result: list[Candidate] = []
+        for j in np.argsort(-existence, kind="stable"):
+            if existence[j] < LEAST_WEIGHT or len(result) == MOST:
+                break
+            mean, covariance = moments_of(_vrp_cloud(state, int(j)))
+            placed = np.trace(covariance) <= 2.0 * self.config.found_std_m**2
+            if existence[j] < self.config.detect_threshold or not placed:
+                share = min(float(existence[j]), 1.0)
+                result.append(Candidate(share, agent_m, state.features.wall_id[[j]], mean[None]))
+        return tuple(result)
 
 
 def _vrp_cloud(state: ParticleState, j: int) -> Cloud:
