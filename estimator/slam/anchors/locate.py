@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from estimator.slam.anchors.circles import Centres, images_of_agent
 from estimator.slam.anchors.labellings import labellings
 from estimator.slam.anchors.search import Candidates, evidence_at, locate
-from estimator.slam.anchors.sight import PathBatch
+from estimator.slam.anchors.sight import PathBatch, walls_between
 from estimator.slam.config import GaussianConfig
-from estimator.slam.features import predict_paths, wall_side
+from estimator.slam.features import predict_paths
 from estimator.slam.gaussian.hypotheses import tidy
 from estimator.slam.gaussian.kalman import kalman
 from estimator.slam.gaussian.levels import known_gains
@@ -165,19 +165,12 @@ def _places(
     if located:
         here = state.rows.mean[state.rows.best, state.layout.anchor(k)][None, :2]
         rival = np.linalg.norm(found.mean_m - here, axis=1) > config.restart_distance_m
-        rival &= _behind(found.mean_m, walls) <= _behind(here, walls)  # its images explain much, too
-        bias = state.rows.mean[first, state.layout.bias(k)]
-        shifted = replace(batch, length_m=np.maximum(batch.length_m - bias, 1e-3))
-        enough &= rival & (found.log_evidence > evidence_at(here, centres, shifted, walls, config)[0])
+        rival &= walls_between(found.mean_m, walls) <= walls_between(
+            here, walls
+        )  # its images explain much, too
+        bias = state.rows.mean[[first], state.layout.bias(k)]
+        enough &= rival & (found.log_evidence > evidence_at(here, centres, batch, walls, config, bias)[0])
     return _Places(k, rows, found, enough, centres, walls, paths)
-
-
-def _behind(points: Array, walls: dict[int, Array]) -> NDArray[np.int64]:
-    """Number of known walls behind which points (S, 2) stand."""
-    behind = np.zeros(len(points), dtype=np.int64)
-    for vrp in walls.values():
-        behind += wall_side(points, vrp) > 0.0
-    return behind
 
 
 def _search(

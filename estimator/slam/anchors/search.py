@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.anchors.circles import Centres, intersections
-from estimator.slam.anchors.sight import Heard, PathBatch, prior_visibility, see
+from estimator.slam.anchors.sight import Heard, PathBatch, prior_visibility, see, walls_between
 from estimator.slam.association import associate
 from estimator.slam.config import GaussianConfig
-from estimator.slam.features import wall_side
 
 __all__ = ["Candidates", "evidence_at", "locate"]
 
@@ -218,10 +217,15 @@ def locate(
 
 
 def evidence_at(
-    points: Array, centres: Centres, paths: PathBatch, walls: dict[int, Array], config: GaussianConfig
+    points: Array,
+    centres: Centres,
+    paths: PathBatch,
+    walls: dict[int, Array],
+    config: GaussianConfig,
+    bias_m: Array = _NO_BIAS,
 ) -> Array:
     """Log evidence (S,) of the anchor standing near ``points`` (S, 2), on the scale of :func:`locate`."""
-    bias = np.zeros(len(points))
+    bias = np.broadcast_to(bias_m, len(points))
     heard = Heard.of(centres, paths, config)
     points, information = _refine(points, bias, heard, walls, config)
     return _weigh(points, bias, information, heard, walls, config)[0]
@@ -263,8 +267,7 @@ def _weigh(
                 sure = association.probability.max(axis=-1, initial=0.0) > _SURE
     total = np.sum(np.log(1.0 - prior + prior * np.exp(np.minimum(log_ratio.sum(axis=1), 300.0))), axis=-1)
     total = total + contest.sum(axis=-1)
-    for vrp in walls.values():
-        total = total + np.where(wall_side(points, vrp) > 0.0, _BEHIND_LOG_PRIOR, 0.0)
+    total = total + _BEHIND_LOG_PRIOR * walls_between(points, walls)
     area = np.pi * config.region_m**2  # the prior, and Laplace's approximation of the integral
     total = total - 0.5 * np.linalg.slogdet(information)[1] + np.log(2.0 * np.pi / area)
     return total, np.sum((often > 0.5) & first, axis=-1), np.sum(sure & first, axis=-1)

@@ -11,7 +11,7 @@ from estimator.slam.anchors.circles import Centres
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import wall_side
 
-__all__ = ["Heard", "PathBatch", "Seen", "prior_visibility", "see"]
+__all__ = ["Heard", "PathBatch", "Seen", "prior_visibility", "see", "walls_between"]
 
 Array = NDArray[np.float64]
 _PRIOR = (0.9, 0.6, 0.2)  # that a path of 0, 1, 2 bounces can be heard
@@ -150,3 +150,11 @@ def prior_visibility(points: Array, heard: Heard, walls: dict[int, Array]) -> Ar
         over = (heard.wall == slot) & (heard.bounces == 1)
         visible[:, over] *= (wall_side(points, vrp) < 0.0)[:, None]
     return visible
+
+
+def walls_between(points: Array, walls: dict[int, Array]) -> NDArray[np.int64]:
+    """Number of known walls behind which points (S, 2) stand."""
+    behind = np.zeros(len(points), dtype=np.int64)
+    for vrp in walls.values():
+        behind += wall_side(points, vrp) > 0.0
+    return behind

@@ -113,7 +113,7 @@ def step_many(
         first = len(state.trail) < _FIRST_EPOCHS
         alone = i if len(state.rows) > _MANY_ROWS else -1
         angles = any(paths.azimuth_rad is not None for paths in epoch.paths)
-        blind = state.shared and not state.slots.confirmed.any()
+        blind = state.shared and state.blind
         key = (first, blind, alone, state.layout, passed, angles, epoch.heading_held)
         groups.setdefault(key, []).append(i)
     result = list(states)

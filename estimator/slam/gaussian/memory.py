@@ -33,7 +33,7 @@ def clutter_density(states: Sequence[GaussianState], config: GaussianConfig) -> 
     most paths are such; they must not be taken for the line of sight.
     """
     runs, anchors = len(states), len(states[0].anchor_names)
-    blind = np.array([not state.slots.confirmed.any() for state in states])
+    blind = np.array([state.blind for state in states])
     epochs = np.array([len(state.trail) for state in states])[:, None]
     heard, run = _heard(states)
     loose = heard[:, 5] == 1.0

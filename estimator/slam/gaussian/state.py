@@ -190,6 +190,11 @@ class GaussianState:
         """The rows (N, 5) of ``heard`` that nothing explained."""
         return self.heard[self.heard[:, 5] == 1.0, :5]
 
+    @property
+    def blind(self) -> bool:
+        """Whether no wall is known yet."""
+        return not self.slots.confirmed.any()
+
     def active(self) -> NDArray[np.bool_]:
         """Features (R, K, F) that each row has; pairs need two walls that count as found."""
         slots, rows = self.slots, self.rows

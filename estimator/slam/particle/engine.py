@@ -49,6 +49,7 @@ __all__ = ["ParticleEngine"]
 
 Array = NDArray[np.float64]
 Wall = tuple[int, Array, Array, float]
+Moments = tuple[Array, Array]
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,8 @@ class ParticleEngine:
         anchors, spreads = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
         for k in np.flatnonzero(state.located):
             anchors[k], spreads[k] = moments_of(state.anchors_m[k])
-        walls = self._walls(state)
+        placed = self._placed(state)
+        walls = self._walls(state, placed)
         return Estimate(
             agent_mean=mean,
             agent_covariance=covariance,
@@ -178,7 +180,7 @@ class ParticleEngine:
             log_evidence=state.log_evidence,
             anchor_existence=state.located.astype(np.float64),
             wall_existence=np.array([existence for _, _, _, existence in walls], dtype=np.float64),
-            candidates=self._candidates(state, mean[:2]),
+            candidates=self._candidates(state, mean[:2], placed),
         )
 
     def save(self, state: ParticleState) -> bytes:
@@ -192,15 +194,19 @@ class ParticleEngine:
             raise InputError(f"state: expected one of method {self.method.name}, got {state.method}")
         return state
 
-    def _walls(self, state: ParticleState) -> list[Wall]:
+    def _placed(self, state: ParticleState) -> dict[int, Moments]:
+        """Mean and covariance of each feature that is found: it exists, and is not all round a circle."""
+        exists = np.flatnonzero(state.features.existence >= self.config.detect_threshold)
+        moments = {int(j): moments_of(_vrp_cloud(state, int(j))) for j in exists}
+        most = 2.0 * self.config.found_std_m**2
+        return {j: (mean, spread) for j, (mean, spread) in moments.items() if np.trace(spread) <= most}
+
+    def _walls(self, state: ParticleState, placed: dict[int, Moments]) -> list[Wall]:
         """Identity, mean, covariance and probability of the walls that are found, oldest first."""
-        existence = state.features.existence
         found: list[Wall] = []
-        for j in np.flatnonzero(existence >= self.config.detect_threshold):
-            mean, covariance = moments_of(_vrp_cloud(state, int(j)))
-            if np.trace(covariance) > 2.0 * self.config.found_std_m**2:
-                continue
-            wall = (int(state.features.wall_id[j]), mean, covariance, min(float(existence[j]), 1.0))
+        for j, (mean, covariance) in placed.items():
+            existence = min(float(state.features.existence[j]), 1.0)
+            wall = (int(state.features.wall_id[j]), mean, covariance, existence)
             for i, other in enumerate(found):
                 if np.linalg.norm(wall[1] - other[1]) < self.config.similarity_m:
                     surer = max(wall[3], other[3])
@@ -211,19 +217,22 @@ class ParticleEngine:
                 found.append(wall)
         return sorted(found, key=lambda entry: entry[0])
 
-    def _candidates(self, state: ParticleState, agent_m: Array) -> tuple[Candidate, ...]:
+    def _candidates(
+        self, state: ParticleState, agent_m: Array, placed: dict[int, Moments]
+    ) -> tuple[Candidate, ...]:
         """The walls that are not found yet, the likeliest first."""
         existence = state.features.existence
-        result: list[Candidate] = []
-        for j in np.argsort(-existence, kind="stable"):
-            if existence[j] < LEAST_WEIGHT or len(result) == MOST:
-                break
-            mean, covariance = moments_of(_vrp_cloud(state, int(j)))
-            placed = np.trace(covariance) <= 2.0 * self.config.found_std_m**2
-            if existence[j] < self.config.detect_threshold or not placed:
-                share = min(float(existence[j]), 1.0)
-                result.append(Candidate(share, agent_m, state.features.wall_id[[j]], mean[None]))
-        return tuple(result)
+        order = np.argsort(-existence, kind="stable").tolist()
+        waiting = [j for j in order if j not in placed and existence[j] >= LEAST_WEIGHT]
+        return tuple(
+            Candidate(
+                min(float(existence[j]), 1.0),
+                agent_m,
+                state.features.wall_id[[j]],
+                moments_of(_vrp_cloud(state, j))[0][None],
+            )
+            for j in waiting[:MOST]
+        )
 
 
 def _vrp_cloud(state: ParticleState, j: int) -> Cloud:
