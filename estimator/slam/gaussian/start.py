@@ -22,7 +22,7 @@ from estimator.slam.gaussian.slots import fresh_visibility
 from estimator.slam.gaussian.state import NOWHERE_M, GaussianState, Rows, Slots
 from estimator.slam.layout import Layout
 
-__all__ = ["start"]
+__all__ = ["start", "state_of"]
 
 Array = NDArray[np.float64]
 
@@ -95,14 +95,57 @@ def start(
     together = np.ones((len(biases), len(biases))) if config.clock_bias_common else np.eye(len(biases))
     covariance[np.ix_(biases, biases)] = config.clock_bias_std_m**2 * together
 
-    count = len(walls)
+    return state_of(
+        mean,
+        covariance,
+        tuple(anchor_names),
+        np.full(layout.anchors, anchors_m is not None),
+        carrier_hz,
+        config,
+        bearing_rad=bearing,
+        shared=shared,
+    )
+
+
+def state_of(
+    mean: Array,
+    covariance: Array,
+    anchor_names: tuple[str, ...],
+    located: NDArray[np.bool_],
+    carrier_hz: float,
+    config: GaussianConfig,
+    bearing_rad: float = 0.0,
+    shared: bool = True,
+) -> GaussianState:
+    """A state without a past, of one hypothesis: what a Gaussian tells of agent, anchors and walls.
+
+    Parameters
+    ----------
+    mean, covariance : ndarray, shape (n,), (n, n)
+        As :class:`estimator.slam.layout.Layout` says, the walls all found.
+    anchor_names : tuple of str
+        The K anchors.
+    located : ndarray of bool, shape (K,)
+        Which of them have been located.
+    carrier_hz : float
+        Carrier frequency, hertz.
+    config : GaussianConfig
+        Models.
+    bearing_rad : float
+        Direction of the x axis in the estimator's frame.
+    shared : bool
+        Whether features are walls.
+    """
+    anchors = len(anchor_names)
+    count = (len(mean) - Layout(anchors, 0, shared).size) // Layout(anchors, 0, shared).per_slot
+    layout = Layout(anchors, count, shared)
     rows = Rows(
         log_weight=np.zeros(1),
         mean=mean[None],
         covariance=covariance[None],
-        located=np.full((1, layout.anchors), anchors_m is not None),
+        located=located[None],
         present=np.ones((1, count), dtype=bool),
-        visibility=np.tile(fresh_visibility(layout), (1, layout.anchors, 1)),
+        visibility=np.tile(fresh_visibility(layout), (1, anchors, 1)),
         support=np.zeros((1, count), dtype=np.int64),
     )
     nobody = np.full(count, -1)
@@ -112,12 +155,12 @@ def start(
         np.ones(count, dtype=bool),
         np.zeros((count, 2)),
         nobody.copy(),
-        np.full((count, layout.anchors, 2, 2), np.nan),
+        np.full((count, anchors, 2, 2), np.nan),
     )
     return GaussianState(
-        anchor_names=tuple(anchor_names),
+        anchor_names=anchor_names,
         carrier_hz=float(carrier_hz),
-        bearing_rad=bearing,
+        bearing_rad=bearing_rad,
         epoch=-1,
         time_s=0.0,
         log_evidence=0.0,
@@ -127,7 +170,7 @@ def start(
         slots=slots,
         trail=np.empty((0, 4)),
         heard=np.empty((0, 6)),
-        levels_db=first_levels(len(anchor_names), config),
+        levels_db=first_levels(anchors, config),
     )
 
 

@@ -33,10 +33,11 @@ from estimator.slam.candidates import LEAST_WEIGHT, MOST, Candidate
 from estimator.slam.engine import Prior
 from estimator.slam.estimate import Estimate
 from estimator.slam.methods import Method
-from estimator.slam.particle.anchors import locate_anchors, remember_paths, ring_anchors
-from estimator.slam.particle.births import merged, pruned, vrp_between
-from estimator.slam.particle.cloud import Cloud, gaussian_cloud, moments_of
+from estimator.slam.particle.anchors import remember_paths, ring_anchors, start_anchors
+from estimator.slam.particle.births import merged, pruned
+from estimator.slam.particle.cloud import gaussian_cloud, moments_of
 from estimator.slam.particle.config import ParticleConfig
+from estimator.slam.particle.found import found_walls, vrp_cloud
 from estimator.slam.particle.state import (
     Features,
     ParticleState,
@@ -147,8 +148,10 @@ class ParticleEngine:
             state = hear_anchor(state, k, epoch.paths[k], self.method, self.config, rng)
         if not state.located.all():
             state = remember_paths(state, epoch, self.config)
-            find = ring_anchors if self.method.anchors == "ring" else locate_anchors
-            state = find(state, self.config, rng)
+            if self.method.anchors == "ring":
+                state = ring_anchors(state, self.config, rng)
+            else:
+                state = start_anchors(state, epoch, self.config, rng)
         features = merged(state.features, self.config)
         return replace(state, features=pruned(features, epoch.index, self.config))
 
@@ -164,7 +167,7 @@ class ParticleEngine:
         anchors, spreads = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
         for k in np.flatnonzero(state.located):
             anchors[k], spreads[k] = moments_of(state.anchors_m[k])
-        placed = self._placed(state)
+        placed = found_walls(state, self.config)
         walls = self._walls(state, placed)
         return Estimate(
             agent_mean=mean,
@@ -194,13 +197,6 @@ class ParticleEngine:
             raise InputError(f"state: expected one of method {self.method.name}, got {state.method}")
         return state
 
-    def _placed(self, state: ParticleState) -> dict[int, Moments]:
-        """Mean and covariance of each feature that is found: it exists, and is not all round a circle."""
-        exists = np.flatnonzero(state.features.existence >= self.config.detect_threshold)
-        moments = {int(j): moments_of(_vrp_cloud(state, int(j))) for j in exists}
-        most = 2.0 * self.config.found_std_m**2
-        return {j: (mean, spread) for j, (mean, spread) in moments.items() if np.trace(spread) <= most}
-
     def _walls(self, state: ParticleState, placed: dict[int, Moments]) -> list[Wall]:
         """Identity, mean, covariance and probability of the walls that are found, oldest first."""
         found: list[Wall] = []
@@ -229,16 +225,10 @@ class ParticleEngine:
                 min(float(existence[j]), 1.0),
                 agent_m,
                 state.features.wall_id[[j]],
-                moments_of(_vrp_cloud(state, j))[0][None],
+                moments_of(vrp_cloud(state, j))[0][None],
             )
             for j in waiting[:MOST]
         )
-
-
-def _vrp_cloud(state: ParticleState, j: int) -> Cloud:
-    """A feature's particles as VRPs, whatever it is kept as."""
-    cloud, owner = state.features.points_m[j], int(state.features.owner[j])
-    return cloud if owner < 0 else vrp_between(state.anchors_m[owner], cloud)
 
 
 def _rotation_std(walls: list[Wall]) -> float:
