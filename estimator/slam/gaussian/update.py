@@ -23,6 +23,7 @@ from estimator.slam.gaussian.kalman import kalman
 from estimator.slam.gaussian.packing import packed
 from estimator.slam.gaussian.paths import PathTable
 from estimator.slam.gaussian.swaps import exchange_odds, with_exchange
+from estimator.slam.gaussian.turning import turned
 from estimator.slam.layout import Layout
 
 __all__ = ["Correction", "correct"]
@@ -128,6 +129,7 @@ def correct(
     -------
     Correction
     """
+    before = mean
     epoch = Hearing.of(paths, clutter, len(mean), layout, config)
     run = np.zeros(len(mean), dtype=np.int64) if run is None else run
     prediction = predict_paths(mean, layout)
@@ -188,6 +190,10 @@ def correct(
         visibility * (1.0 - config.detection_probability) / (1.0 - visibility * config.detection_probability)
     )
     visibility = np.where(active, heard + (1.0 - heard) * seen, visibility)
+    if layout.shared:
+        mean, covariance = turned(
+            before[parent], mean, covariance, np.where(active, visibility, 0.0), layout
+        )
     return Correction(parent, mean, covariance, visibility, heard, explained, log_evidence)
 
 
