@@ -19,14 +19,16 @@ from estimator.slam.layout import Layout
 __all__ = ["turned"]
 
 Array = NDArray[np.float64]
-_HEARD = 0.3  # visibility from which a wall's paths are what is known of it
+Index = NDArray[np.int64]
 _MOST_RAD = 0.3  # beyond, a tangent says nothing of the circle
 
 
 def turned(
-    before: Array, mean: Array, covariance: Array, visibility: Array, layout: Layout
+    before: Array, mean: Array, covariance: Array, located: NDArray[np.bool_], layout: Layout
 ) -> tuple[Array, Array]:
-    """Corrected rows whose walls went along circles round the anchors that are heard over them.
+    """Corrected rows whose walls went along circles round anchors.
+
+    Of several anchors the one that a wall's distance is known best from is its centre.
 
     Parameters
     ----------
@@ -34,25 +36,24 @@ def turned(
         Means before the correction.
     mean, covariance : ndarray, shapes (R, n) and (R, n, n)
         Corrected Gaussians.
-    visibility : ndarray, shape (R, K, F)
-        Probability that each feature can be heard, 0 of those that a row lacks. Of several anchors
-        the one heard best is a wall's.
+    located : ndarray of bool, shape (R, K)
+        Anchors that have been located.
     layout : Layout
         Positions in the state vector; the first wall is the gauge's, which does not turn.
 
     Returns
     -------
     mean, covariance : ndarray
-        Mean and covariance in the order of ``n``.
+        Shapes (R, n) and (R, n, n).
     """
     if layout.slots < 2:
         return mean, covariance
-    over = visibility[:, :, 2 : 1 + layout.slots]  # (R, K, L - 1)
-    anchor = np.argmax(over, axis=1)
-    line = np.arange(len(mean))[:, None]
-    heard = over[line, anchor, np.arange(layout.slots - 1)] > _HEARD
     wall = layout.wall(1).start + 2 * np.arange(layout.slots - 1)
-    about = layout.FIRST_ANCHOR + layout.PER_ANCHOR * anchor  # (R, L - 1)
+    about = layout.FIRST_ANCHOR + layout.PER_ANCHOR * np.arange(layout.anchors)[:, None]
+    variance = _distance_variance(mean, covariance, wall, about)  # (R, K, L - 1)
+    centre = np.argmin(np.where(located[..., None], variance, np.inf), axis=1)
+    about = about[centre, 0]  # (R, L - 1)
+    line = np.arange(len(mean))[:, None]
 
     def arm(state: Array) -> NDArray[np.complex128]:
         """From the anchors to the walls, plane vectors as complex numbers."""
@@ -62,9 +63,10 @@ def turned(
     old, new = arm(before), arm(mean)
     length = np.abs(old)
     shift = (new - old) * old.conj() / length  # along the arm, and across
-    angle = np.clip(np.where(heard, shift.imag / length, 0.0), -_MOST_RAD, _MOST_RAD)
+    turns = located.any(axis=1, keepdims=True)
+    angle = np.clip(np.where(turns, shift.imag / length, 0.0), -_MOST_RAD, _MOST_RAD)
     turn = np.exp(1j * angle)
-    end = np.where(heard, old / length * (length + shift.real) * turn, new)
+    end = np.where(turns, old / length * (length + shift.real) * turn, new)
     mean = mean.copy()
     mean[:, wall] += end.real - new.real
     mean[:, wall + 1] += end.imag - new.imag
@@ -72,9 +74,21 @@ def turned(
     return mean, _turned_rows(covariance, wall, about, turn)
 
 
-def _turned_rows(
-    covariance: Array, wall: NDArray[np.int64], about: NDArray[np.int64], turn: NDArray[np.complex128]
-) -> Array:
+def _distance_variance(mean: Array, covariance: Array, wall: Index, about: Index) -> Array:
+    """Variance (R, K, L) of the distances of the walls (L,) from the anchors (K, 1)."""
+    wall = wall[None]
+    x, y = mean[:, wall] - mean[:, about], mean[:, wall + 1] - mean[:, about + 1]
+    square = x * x + y * y
+
+    def product(i: Index, j: Index) -> Array:
+        mixed = covariance[:, i, j + 1] + covariance[:, i + 1, j]
+        return np.asarray(x * x * covariance[:, i, j] + x * y * mixed + y * y * covariance[:, i + 1, j + 1])
+
+    total = product(wall, wall) - 2.0 * product(wall, about) + product(about, about)
+    return np.asarray(total / square)
+
+
+def _turned_rows(covariance: Array, wall: Index, about: Index, turn: NDArray[np.complex128]) -> Array:
     """The covariance with the walls' rows turned, relative to those of their anchors."""
     line = np.arange(len(covariance))[:, None]
     anchor = covariance[line, about] + 1j * covariance[line, about + 1]  # (R, L - 1, n)

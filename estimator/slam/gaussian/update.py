@@ -191,9 +191,7 @@ def correct(
     )
     visibility = np.where(active, heard + (1.0 - heard) * seen, visibility)
     if layout.shared:
-        mean, covariance = turned(
-            before[parent], mean, covariance, np.where(active, visibility, 0.0), layout
-        )
+        mean, covariance = turned(before[parent], mean, covariance, active[:, :, 0], layout)
     return Correction(parent, mean, covariance, visibility, heard, explained, log_evidence)
 
 
