@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import FileFormatError
+from estimator.slam.archive import Columns, pack, unpack
 from estimator.slam.layout import Layout
 
 __all__ = [
@@ -224,18 +222,15 @@ def active_features(
 
 
 _SCALARS = ("carrier_hz", "bearing_rad", "epoch", "time_s", "log_evidence", "next_wall_id", "shared")
+_ARRAYS = ("trail", "heard", "levels_db")
 
 
 def save_state(state: GaussianState) -> bytes:
     """The state as bytes (an npz archive without pickles); equal states give equal bytes."""
-    columns = {name: np.asarray(getattr(state, name)) for name in _SCALARS}
-    columns |= {name: getattr(state, name) for name in ("trail", "heard", "levels_db")}
-    columns["anchor_names"] = np.array(state.anchor_names)
+    columns = {name: getattr(state, name) for name in (*_SCALARS, *_ARRAYS, "anchor_names")}
     columns |= {f"rows.{entry.name}": getattr(state.rows, entry.name) for entry in fields(Rows)}
     columns |= {f"slots.{entry.name}": getattr(state.slots, entry.name) for entry in fields(Slots)}
-    stream = io.BytesIO()
-    np.savez(stream, allow_pickle=False, format=np.array(FORMAT), **columns)
-    return stream.getvalue()
+    return pack(FORMAT, columns)
 
 
 def load_state(data: bytes) -> GaussianState:
@@ -246,32 +241,14 @@ def load_state(data: bytes) -> GaussianState:
     FileFormatError
         If ``data`` is truncated or something else.
     """
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            columns = {name: archive[name] for name in archive.files}
-        found = str(columns["format"])
-        if found != FORMAT:
-            raise FileFormatError(f"state: expected {FORMAT}, got {found}")
-        rows = Rows(*(columns[f"rows.{entry.name}"] for entry in fields(Rows)))
-        slots = Slots(*(columns[f"slots.{entry.name}"] for entry in fields(Slots)))
+
+    def build(columns: Columns) -> GaussianState:
         return GaussianState(
             anchor_names=tuple(str(name) for name in columns["anchor_names"]),
-            trail=columns["trail"],
-            heard=columns["heard"],
-            levels_db=columns["levels_db"],
-            carrier_hz=float(columns["carrier_hz"]),
-            bearing_rad=float(columns["bearing_rad"]),
-            epoch=int(columns["epoch"]),
-            time_s=float(columns["time_s"]),
-            log_evidence=float(columns["log_evidence"]),
-            next_wall_id=int(columns["next_wall_id"]),
-            shared=bool(columns["shared"]),
-            rows=rows,
-            slots=slots,
+            rows=Rows(*(columns[f"rows.{entry.name}"] for entry in fields(Rows))),
+            slots=Slots(*(columns[f"slots.{entry.name}"] for entry in fields(Slots))),
+            **{name: columns[name].item() for name in _SCALARS},
+            **{name: columns[name] for name in _ARRAYS},
         )
-    except (ValueError, OSError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(
-            f"state: expected {FORMAT}, could not read {len(data)} bytes: {error}"
-        ) from error
+
+    return unpack(FORMAT, data, build)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import FileFormatError
+from estimator.slam.archive import Columns, pack, unpack
 from estimator.slam.particle.cloud import Cloud
 
 __all__ = ["Features", "ParticleState", "load_particle_state", "save_particle_state"]
@@ -118,18 +116,15 @@ class ParticleState:
         return replace(self, features=features)
 
 
-_SCALARS = ("epoch", "time_s", "log_evidence", "next_wall_id")
+_SCALARS = ("method", "epoch", "time_s", "log_evidence", "next_wall_id")
 _ARRAYS = ("agent", "anchors_m", "located", "sight", "past")
 
 
 def save_particle_state(state: ParticleState) -> bytes:
     """The state as bytes (an npz archive without pickles); equal states give equal bytes."""
-    columns = {name: np.asarray(getattr(state, name)) for name in (*_SCALARS, *_ARRAYS, "method")}
-    columns["anchor_names"] = np.array(state.anchor_names)
+    columns = {name: getattr(state, name) for name in (*_SCALARS, *_ARRAYS, "anchor_names")}
     columns |= {f"features.{e.name}": getattr(state.features, e.name) for e in fields(Features)}
-    stream = io.BytesIO()
-    np.savez(stream, allow_pickle=False, format=np.array(FORMAT), **columns)
-    return stream.getvalue()
+    return pack(FORMAT, columns)
 
 
 def load_particle_state(data: bytes) -> ParticleState:
@@ -140,25 +135,13 @@ def load_particle_state(data: bytes) -> ParticleState:
     FileFormatError
         If ``data`` is truncated or something else.
     """
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            columns = {name: archive[name] for name in archive.files}
-        found = str(columns["format"])
-        if found != FORMAT:
-            raise FileFormatError(f"state: expected {FORMAT}, got {found}")
+
+    def build(columns: Columns) -> ParticleState:
         return ParticleState(
-            method=str(columns["method"]),
             anchor_names=tuple(str(name) for name in columns["anchor_names"]),
-            epoch=int(columns["epoch"]),
-            time_s=float(columns["time_s"]),
-            log_evidence=float(columns["log_evidence"]),
-            next_wall_id=int(columns["next_wall_id"]),
             features=Features(*(columns[f"features.{entry.name}"] for entry in fields(Features))),
+            **{name: columns[name].item() for name in _SCALARS},
             **{name: columns[name] for name in _ARRAYS},
         )
-    except (ValueError, OSError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(
-            f"state: expected {FORMAT}, could not read {len(data)} bytes: {error}"
-        ) from error
+
+    return unpack(FORMAT, data, build)
