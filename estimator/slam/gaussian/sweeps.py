@@ -21,6 +21,7 @@ from estimator.slam.config import GaussianConfig
 from estimator.slam.gaussian.kalman import kalman
 from estimator.slam.gaussian.slots import open_slot
 from estimator.slam.gaussian.state import GaussianState
+from estimator.slam.gaussian.turning import turned
 from estimator.slam.layout import Layout
 
 __all__ = ["predict_flashes", "take_sweep"]
@@ -93,8 +94,8 @@ def take_sweep(
     rows = state.rows.take(np.arange(len(state.rows)))
     new = np.zeros(len(sweep), dtype=bool)
     for r in range(len(rows)):
-        turned = 0.0 if heading_held else _heading(state, r, seen, noise)
-        back = rotation_matrix(-turned)
+        heading = 0.0 if heading_held else _heading(state, r, seen, noise)
+        back = rotation_matrix(-heading)
         here, spread = seen @ back.T, back @ noise @ back.T
         slot, nearest = _match(state, r, here, spread, config)
         if r == state.rows.best:
@@ -102,7 +103,8 @@ def take_sweep(
         mean, covariance, log_density = _update(state, r, here, spread, slot, heading_held)
         rows.mean[r], rows.covariance[r] = mean, covariance
         rows.log_weight[r] += log_density
-    state = replace(state, rows=rows)
+    mean, covariance = turned(state.rows.mean, rows.mean, rows.covariance, rows.located, state.layout)
+    state = replace(state, rows=replace(rows, mean=mean, covariance=covariance))
     if heading_held:
         for j in np.flatnonzero(new):
             state = _enter(state, seen[j], noise[j])

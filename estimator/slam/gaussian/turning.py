@@ -20,7 +20,7 @@ __all__ = ["turned"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-_MOST_RAD = 0.3  # beyond, a tangent says nothing of the circle
+_MOST_RAD = 0.3  # a wall that moves by more is moved as it is: a tangent says nothing of such an arc
 
 
 def turned(
@@ -60,16 +60,16 @@ def turned(
         x = state[:, wall] - state[line, about]
         return np.asarray(x + 1j * (state[:, wall + 1] - state[line, about + 1]))
 
-    old, new = arm(before), arm(mean)
+    old = arm(before)
     length = np.abs(old)
-    shift = (new - old) * old.conj() / length  # along the arm, and across
-    turns = located.any(axis=1, keepdims=True)
-    angle = np.clip(np.where(turns, shift.imag / length, 0.0), -_MOST_RAD, _MOST_RAD)
-    turn = np.exp(1j * angle)
-    end = np.where(turns, old / length * (length + shift.real) * turn, new)
+    shift = (arm(mean) - old) * old.conj() / length  # along the arm, and across
+    turns = located.any(axis=1, keepdims=True) & (np.abs(shift.imag) < _MOST_RAD * length)
+    across = np.where(turns, shift.imag, 0.0)
+    turn = np.exp(1j * across / length)
+    bend = old / length * ((length + shift.real) * (turn - 1.0) - 1j * across)
     mean = mean.copy()
-    mean[:, wall] += end.real - new.real
-    mean[:, wall + 1] += end.imag - new.imag
+    mean[:, wall] += bend.real
+    mean[:, wall + 1] += bend.imag
     covariance = _turned_rows(covariance, wall, about, turn).transpose(0, 2, 1)
     return mean, _turned_rows(covariance, wall, about, turn)
 
@@ -93,7 +93,8 @@ def _turned_rows(covariance: Array, wall: Index, about: Index, turn: NDArray[np.
     line = np.arange(len(covariance))[:, None]
     anchor = covariance[line, about] + 1j * covariance[line, about + 1]  # (R, L - 1, n)
     own = covariance[:, wall] + 1j * covariance[:, wall + 1]
-    own = anchor + turn[..., None] * (own - anchor)
+    more = (turn[..., None] - 1.0) * (own - anchor)
     result = covariance.copy()
-    result[:, wall], result[:, wall + 1] = own.real, own.imag
+    result[:, wall] += more.real
+    result[:, wall + 1] += more.imag
     return result

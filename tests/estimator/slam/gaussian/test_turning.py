@@ -67,7 +67,7 @@ def test_the_anchor_that_knows_best():
 
 
 def test_what_does_not_turn():
-    """The gauge's wall, walls where no anchor is located, and walls that did not move."""
+    """The gauge's wall, walls where no anchor is located, that did not move, or that moved by a large arc."""
     before, covariance = state(np.random.default_rng(3))
     moved = before.copy()
     moved[WALL] += (0.0, 4.0)
@@ -75,8 +75,12 @@ def test_what_does_not_turn():
     assert np.array_equal(mean[0], moved)
     assert np.allclose(after[0], covariance)
     mean, after = turned(before[None], before[None], covariance[None], FIRST, LAYOUT)
-    assert np.allclose(mean[0], before)
-    assert np.allclose(after[0], covariance)
+    assert np.array_equal(mean[0], before)
+    assert np.array_equal(after[0], covariance)
+    moved[WALL] = before[WALL] + (0.0, 40.0)
+    mean, after = turned(before[None], moved[None], covariance[None], FIRST, LAYOUT)
+    assert np.array_equal(mean[0], moved)
+    assert np.array_equal(after[0], covariance)
     moved[WALL] = before[WALL]
     moved[LAYOUT.wall(0)] += (1.0, 0.0)
     mean, _ = turned(before[None], moved[None], covariance[None], BOTH, LAYOUT)
