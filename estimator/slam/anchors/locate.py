@@ -29,6 +29,7 @@ _STRIDE = 4  # epochs between those of a window that are searched
 _FRESH = 2  # features that the present epoch must surely have heard
 _ODDS = 1.0  # that a feature is measured
 _MARGIN_NATS = 2.0  # by which a place must beat those that explain too little, and no place at all
+_NO_CHANCE_NATS = 20.0  # of a place that few features tell, once another anchor stands and there is no hurry
 _RECHECK = 8  # epochs between doubts of a located anchor
 _RIVAL_LOG_PRIOR = -3.0  # log odds that a located anchor is elsewhere after all
 _KNOWN_M2 = 1e-12  # variance of an anchor known from the start, left by rounding where rows were merged
@@ -162,6 +163,8 @@ def _places(
     found = _search(state, k, first, centres, batch, walls, config)
     epochs = np.unique(batch.epoch).size
     enough = (found.matches >= config.start_matches - (epochs > 1)) & (found.fresh >= _FRESH)
+    if not located and state.rows.located[first].any():
+        enough &= (found.matches >= config.start_matches) | (found.log_evidence > _NO_CHANCE_NATS)
     if located:
         here = state.rows.mean[state.rows.best, state.layout.anchor(k)][None, :2]
         rival = np.linalg.norm(found.mean_m - here, axis=1) > config.restart_distance_m

@@ -266,7 +266,16 @@ def _correct(states: list[GaussianState], pool: Pool, paths: PathTable, config: 
     clutter = clutter_density(states, config)[pool.run]
     active = active_of(pool, states, layout)
     done = correct(
-        rows.mean, rows.covariance, rows.visibility, active, table, layout, config, clutter, pool.run
+        rows.mean,
+        rows.covariance,
+        rows.visibility,
+        active,
+        table,
+        layout,
+        config,
+        clutter,
+        pool.run,
+        rows.log_weight,
     )
     expected = rows.visibility[done.parent]
     weight = rows.log_weight[done.parent] + done.log_evidence

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import Prediction
 from estimator.slam.gaussian.azimuths import azimuth_ratio
+from estimator.slam.gaussian.kalman import kalman
 from estimator.slam.gaussian.packing import packed
 from estimator.slam.gaussian.paths import PathTable
 from estimator.slam.layout import Layout
 
-__all__ = ["Hearing", "Near"]
+__all__ = ["Hearing", "Near", "take"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -153,3 +154,31 @@ class Hearing:
         )
         close = np.any(free[:, :, None, :] & (near.innovation**2 < reach), axis=-1)
         return np.asarray(near.real & close)
+
+
+def take(
+    mean: Array, covariance: Array, near: Near, innovation: Array, variance: Array, use: Mask
+) -> tuple[Array, Array, Array]:
+    """:func:`kalman` with the features (R, K, C) that ``use`` marks, of the rows that have any.
+
+    ``innovation`` and ``variance`` are of that shape.
+    """
+    rows, size = mean.shape
+    column, keep = packed(use.reshape(rows, -1))
+    some = np.flatnonzero(keep.any(axis=1))
+    log_density = np.zeros(rows)
+    if some.size == 0:
+        return mean, covariance, log_density
+    row, column, keep = some[:, None], column[some], keep[some]
+    mean, covariance = mean.copy(), covariance.copy()
+    jacobian, cross = (each.reshape(rows, -1, size)[row, column] for each in (near.jacobian, near.cross))
+    jacobian[~keep] = cross[~keep] = 0.0
+    mean[some], covariance[some], log_density[some] = kalman(
+        mean[some],
+        covariance[some],
+        jacobian,
+        np.where(keep, innovation.reshape(rows, -1)[row, column], 0.0),
+        np.where(keep, variance.reshape(rows, -1)[row, column], 0.5 / np.pi),
+        cross=cross,
+    )
+    return mean, covariance, log_density

@@ -40,6 +40,8 @@ def with_exchange(share: Array, ratio: Array) -> Array:
 
     Of each feature's exchanges the likeliest counts.
     """
+    if share.shape[-2] < 2:
+        return share
     label = np.where(share.max(axis=-1, initial=0.0) > 0.5, np.argmax(share, axis=-1), -1)
     odds = exchange_odds(ratio, label)
     partner = np.argmax(odds, axis=-1)

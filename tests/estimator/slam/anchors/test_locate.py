@@ -172,3 +172,24 @@ def test_an_anchor_is_not_taken_for_its_own_image(room):
         after = locate_anchors(doubting, stack_paths(epoch, state.carrier_hz), config)
         elsewhere = np.linalg.norm(after.rows.mean[:, layout.anchor_xy(0)] - anchor, axis=1) > 2.0
         assert elsewhere.any() == opened
+
+
+@pytest.mark.parametrize(
+    ("matches", "evidence", "other", "starts"),
+    [(3, 12.0, True, False), (3, 25.0, True, True), (4, 12.0, True, True), (3, 12.0, False, True)],
+)
+def test_three_features_may_be_chance(room, monkeypatch, matches, evidence, other, starts):
+    """Once another anchor stands, a place that only three features tell needs evidence that chance has not."""
+    measured = room.measure(62, epochs=9, clutter_mean=0.0)
+    config = config_for(measured)
+    state = start(measured.walls, measured.anchors, measured.carrier_hz, config)
+    for epoch in measured.epochs:
+        state = step(state, epoch, config)
+    rows, place = state.rows, state.rows.mean[[state.rows.best], state.layout.anchor_xy(1)]
+    count = np.array([matches])
+    found = Candidates(place, np.eye(2)[None], np.array([evidence]), count, count, np.zeros(1))
+    monkeypatch.setattr("estimator.slam.anchors.locate.locate", lambda *_: found)
+    located = np.tile([other, False], (len(rows), 1))
+    waiting = replace(state, rows=replace(rows, located=located))
+    after = locate_anchors(waiting, stack_paths(measured.epochs[-1], state.carrier_hz), config)
+    assert after.rows.located[:, int(other)].any() == starts
