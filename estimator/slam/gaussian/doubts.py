@@ -123,7 +123,7 @@ def settle(doubts: Doubts, epoch: Hearing, size: Index) -> Doubts:
 
 
 def _harm(share: Array, near: Near, epoch: Hearing) -> Array:
-    """Scatter (S, K, C) that the alternatives of each feature give a row, over the variance each would leave."""
+    """Scatter (S, K, C) that the alternatives of each feature give a row, over the variance they leave."""
     noise = epoch.variance[:, :, None, :]
     s = near.spread[..., None] + noise
     shift = near.spread[..., None] / s * near.innovation

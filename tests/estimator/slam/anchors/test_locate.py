@@ -179,7 +179,7 @@ def test_an_anchor_is_not_taken_for_its_own_image(room):
     [(3, 12.0, True, False), (3, 25.0, True, True), (4, 12.0, True, True), (3, 12.0, False, True)],
 )
 def test_three_features_may_be_chance(room, monkeypatch, matches, evidence, other, starts):
-    """Once another anchor stands, a place that only three features tell needs evidence that chance has not."""
+    """Once another anchor stands, a place of only three features needs evidence that chance has not."""
     measured = room.measure(62, epochs=9, clutter_mean=0.0)
     config = config_for(measured)
     state = start(measured.walls, measured.anchors, measured.carrier_hz, config)

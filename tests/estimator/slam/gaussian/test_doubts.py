@@ -76,7 +76,7 @@ def test_rows_are_weighed_as_enumeration_says(seed: int):
 
 
 def test_paths_that_agree_beat_those_that_fit_best_alone():
-    """A false path nearer to what is expected than the true one, for two anchors of three: the agent moved."""
+    """A false path nearer to what is expected than the true one, for two anchors of three: it moved."""
     lengths = np.array([[998.2, 1000.1], [1400.9, 1400.0], [2001.27, 2013.0]])
     done = taken(lengths)
     best = int(np.argmax(done.log_evidence))
