@@ -22,6 +22,7 @@ from estimator.slam.config import GaussianConfig
 __all__ = ["Candidates", "evidence_at", "locate"]
 
 Array = NDArray[np.float64]
+_MOST_PAIRS = 20_000  # of circles that are intersected: 40 paths and four walls
 _CHUNK = 512  # intersections seen at once: their arrays stay in the cache
 _REFINED, _REFINED_IN_ALL = (
     60,
@@ -77,7 +78,8 @@ def _seeds(
     c, p = c[fits], p[fits]
     a, b = np.triu_indices(len(c), 1)
     apart = (c[a] != c[b]) & (p[a] != p[b])
-    a, b = a[apart], b[apart]
+    every = max(-(-int(apart.sum()) // _MOST_PAIRS), 1)  # where most paths meet, many pairs do
+    a, b = a[apart][::every], b[apart][::every]
     radius = (
         np.stack([paths.length_m[p[a]], paths.length_m[p[b]]], axis=1) - bias_m[:, None, None]
     )  # (B, P, 2)

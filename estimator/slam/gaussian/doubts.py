@@ -26,7 +26,7 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 _APART = 0.5  # a row splits if the alternatives move it by more than this many standard deviations
 _SPLITS = 3  # doubts of one epoch that a row splits for,
-_FEW_ROWS = 64  # or one, unless it is likely, if its run has more rows than these
+_FEW_ROWS, _MANY_ROWS = 64, 256  # or one if its run has more rows than these; a likely row, than those
 _LEAST_CHANCE = 1e-3  # of an alternative worth a row,
 _MOST_CHANCES = 30  # of which a doubt has at most so many
 
@@ -40,7 +40,7 @@ class Doubts:
     parent, run : ndarray of int64, shape (S,)
         The row that each comes from, and the run it belongs to.
     likely : ndarray of bool, shape (S,)
-        Rows that split however many there are.
+        Rows that split among more rows than the others do.
     mean, covariance : ndarray, shapes (S, n) and (S, n, n)
         Their Gaussians.
     chance : ndarray, shape (S, K, F)
@@ -102,7 +102,7 @@ def settle(doubts: Doubts, epoch: Hearing, size: Index) -> Doubts:
         share, evidence = with_exchange(association.probability, near.ratio), association.log_evidence
         harm = _harm(share, near, epoch)
         torn = (harm.max(axis=(1, 2), initial=0.0) >= _APART**2) & (turn < _SPLITS)
-        torn &= (size[doubts.run] <= _FEW_ROWS) | (turn == 0) | doubts.likely
+        torn &= (turn == 0) | (size[doubts.run] <= np.where(doubts.likely, _MANY_ROWS, _FEW_ROWS))
         if not torn.any():
             done.append(_blurred(doubts, near, share, evidence, epoch))
             break

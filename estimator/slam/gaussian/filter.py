@@ -23,6 +23,7 @@ from estimator.slam.anchors.locate import locate_anchors, may_locate
 from estimator.slam.births.mirrors import bear_virtual_anchors, shorter_than_sight
 from estimator.slam.births.walls import find_line, may_bear, wall_bank
 from estimator.slam.config import GaussianConfig
+from estimator.slam.floods import without_floods
 from estimator.slam.gaussian.hindsight import look_back
 from estimator.slam.gaussian.hypotheses import moments, tidy_pool
 from estimator.slam.gaussian.levels import learn_levels, loss_limits
@@ -89,7 +90,8 @@ def step_many(
     states : sequence of GaussianState
         The states of B runs; they are not changed. Runs may have different anchors, walls and epochs.
     epochs : sequence of Epoch
-        The next epoch of each.
+        The next epoch of each. Anchors with more than 200 paths count as unheard
+        (:mod:`estimator.slam.floods`).
     config : GaussianConfig
         Models of all of them.
 
@@ -107,6 +109,7 @@ def step_many(
         raise InputError(f"epochs: expected one for each of {len(states)} states, got {len(epochs)}")
     for state, epoch in zip(states, epochs, strict=True):
         _check(state, epoch)
+    epochs = [without_floods(epoch) for epoch in epochs]
     groups: dict[tuple[bool, bool, *tuple[Hashable, ...]], list[int]] = {}
     for i, (state, epoch) in enumerate(zip(states, epochs, strict=True)):
         passed = None if state.epoch < 0 else epoch.time_s - state.time_s

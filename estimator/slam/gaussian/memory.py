@@ -20,7 +20,6 @@ __all__ = ["clutter_density", "remember", "widen_spans", "widen_stretches"]
 
 Array = NDArray[np.float64]
 
-_FLOOD = 200  # paths of one anchor in one epoch
 _UNKNOWN_PATHS = 6.0  # expected of an anchor beyond clutter, before any wall is known
 _PRIOR_EPOCHS = 4.0  # that this expectation weighs
 _FARTHEST_M = 3.0  # beside a feature, however badly it is known
@@ -106,8 +105,7 @@ def remember(
 
     A path counts as explained if a feature probably gave it, or if it lies close to
     where any possible feature would be heard: beside a known path stand its echoes,
-    not new walls. Of an anchor that hears hundreds of paths nothing is noted: in a flood every
-    wall could be found, and searching it takes minutes.
+    not new walls.
 
     Parameters
     ----------
@@ -129,8 +127,7 @@ def remember(
     std = np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1]))
     taken = pool.rows.located[..., None] & (explained > 0.3)
     taken |= _beside_known(pool, active_of(pool, states, layout), paths, paths.valid & ~taken, layout, config)
-    flood = np.sum(paths.valid, axis=2) > _FLOOD
-    run, k, j = np.nonzero(paths.valid & ~flood[..., None])
+    run, k, j = np.nonzero(paths.valid)
     now = np.array([state.epoch for state in states])
     at = (run, k, j)
     columns = (paths.length_m[at], paths.std_m[at], paths.excess_loss_db[at], ~taken[at])

@@ -32,6 +32,7 @@ from estimator.measurements import Epoch
 from estimator.slam.candidates import LEAST_WEIGHT, MOST, Candidate
 from estimator.slam.engine import Prior
 from estimator.slam.estimate import Estimate
+from estimator.slam.floods import without_floods
 from estimator.slam.methods import Method
 from estimator.slam.particle.anchors import remember_paths, ring_anchors, start_anchors
 from estimator.slam.particle.births import merged, pruned
@@ -124,6 +125,8 @@ class ParticleEngine:
     def step(self, state: ParticleState, epoch: Epoch, rng: np.random.Generator) -> ParticleState:
         """The state after one more epoch; the given state is not changed.
 
+        Anchors with more than 200 paths count as unheard (:mod:`estimator.slam.floods`).
+
         Raises
         ------
         InputError
@@ -141,7 +144,7 @@ class ParticleEngine:
                     f"at {state.time_s} s"
                 )
             state = predict(state, epoch.time_s - state.time_s, self.method, self.config, rng)
-        state = replace(state, epoch=epoch.index, time_s=epoch.time_s)
+        state, epoch = replace(state, epoch=epoch.index, time_s=epoch.time_s), without_floods(epoch)
         if not self.method.paths:
             return state
         for k in np.flatnonzero(state.located).tolist():
