@@ -145,7 +145,7 @@ class ParticleConfig:
         One pairing of particles, features that hardly move (variance 1e-8), one detection
         probability for all pairs of anchor and feature, updates refused as soon as the
         variance rises, and features found as soon as they exist, on whatever circle. In the
-        paper's room (10,000 particles, 8 runs, hybrid) that loses 4 runs and most walls; the
+        paper's room (10,000 particles, 8 runs, hybrid) that loses a run and most walls; the
         defaults lose none.
         """
         return replace(
