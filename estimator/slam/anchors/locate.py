@@ -168,9 +168,8 @@ def _places(
     if located:
         here = state.rows.mean[state.rows.best, state.layout.anchor(k)][None, :2]
         rival = np.linalg.norm(found.mean_m - here, axis=1) > config.restart_distance_m
-        rival &= walls_between(found.mean_m, walls) <= walls_between(
-            here, walls
-        )  # its images explain much, too
+        # its images behind walls explain much, too
+        rival &= walls_between(found.mean_m, walls) <= walls_between(here, walls)
         bias = state.rows.mean[[first], state.layout.bias(k)]
         enough &= rival & (found.log_evidence > evidence_at(here, centres, batch, walls, config, bias)[0])
     return _Places(k, rows, found, enough, centres, walls, paths)

@@ -96,18 +96,19 @@ def start(
     covariance[np.ix_(biases, biases)] = config.clock_bias_std_m**2 * together
 
     return state_of(
+        layout,
         mean,
         covariance,
         tuple(anchor_names),
         np.full(layout.anchors, anchors_m is not None),
         carrier_hz,
         config,
-        bearing_rad=bearing,
-        shared=shared,
+        bearing,
     )
 
 
 def state_of(
+    layout: Layout,
     mean: Array,
     covariance: Array,
     anchor_names: tuple[str, ...],
@@ -115,14 +116,15 @@ def state_of(
     carrier_hz: float,
     config: GaussianConfig,
     bearing_rad: float = 0.0,
-    shared: bool = True,
 ) -> GaussianState:
     """A state without a past, of one hypothesis: what a Gaussian tells of agent, anchors and walls.
 
     Parameters
     ----------
+    layout : Layout
+        Positions in the state vector.
     mean, covariance : ndarray, shape (n,), (n, n)
-        As :class:`estimator.slam.layout.Layout` says, the walls all found.
+        The Gaussian; the walls count as found.
     anchor_names : tuple of str
         The K anchors.
     located : ndarray of bool, shape (K,)
@@ -133,12 +135,8 @@ def state_of(
         Models.
     bearing_rad : float
         Direction of the x axis in the estimator's frame.
-    shared : bool
-        Whether features are walls.
     """
-    anchors = len(anchor_names)
-    count = (len(mean) - Layout(anchors, 0, shared).size) // Layout(anchors, 0, shared).per_slot
-    layout = Layout(anchors, count, shared)
+    anchors, count = layout.anchors, layout.slots
     rows = Rows(
         log_weight=np.zeros(1),
         mean=mean[None],
@@ -165,7 +163,7 @@ def state_of(
         time_s=0.0,
         log_evidence=0.0,
         next_wall_id=count,
-        shared=shared,
+        shared=layout.shared,
         rows=rows,
         slots=slots,
         trail=np.empty((0, 4)),

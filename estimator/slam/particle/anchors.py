@@ -24,7 +24,7 @@ from estimator.slam.gaussian.paths import stack_paths
 from estimator.slam.gaussian.start import state_of
 from estimator.slam.gaussian.state import NOWHERE_M, GaussianState, Rows
 from estimator.slam.layout import Layout
-from estimator.slam.particle.cloud import Cloud, gaussian_cloud, moments_of
+from estimator.slam.particle.cloud import Cloud, gaussian_cloud, moments_of, systematic
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.particle.found import found_walls
 from estimator.slam.particle.state import ParticleState
@@ -158,7 +158,7 @@ def _joint(
     epoch, x, y, variance, anchor, length, std = past.T
     first = np.unique(epoch, return_index=True)[1]
     return replace(
-        state_of(mean, covariance, state.anchor_names, state.located, _ANY_CARRIER_HZ, models),
+        state_of(layout, mean, covariance, state.anchor_names, state.located, _ANY_CARRIER_HZ, models),
         epoch=state.epoch,
         trail=np.stack([epoch, x, y, np.sqrt(variance)], axis=1)[first],
         heard=np.stack([epoch, anchor, length, std, np.full(len(past), np.nan), np.ones(len(past))], axis=1),
@@ -167,12 +167,10 @@ def _joint(
 
 def _mixture(rows: Rows, count: int, rng: np.random.Generator) -> Cloud:
     """Draws (n, N) from the rows' Gaussians, of each its weight's share."""
-    share = np.exp(rows.log_weight)
-    ends = np.floor(np.cumsum(share / share.sum()) * count + rng.random()).astype(np.int64)
-    ends[-1] = count
+    members = np.bincount(systematic(rows.log_weight, rng, count), minlength=len(rows))
     parts = [
-        gaussian_cloud(mean, covariance, int(size), rng)
-        for mean, covariance, size in zip(rows.mean, rows.covariance, np.diff(ends, prepend=0), strict=True)
+        gaussian_cloud(mean, covariance, size, rng)
+        for mean, covariance, size in zip(rows.mean, rows.covariance, members.tolist(), strict=True)
     ]
     return np.concatenate(parts, axis=1)
 

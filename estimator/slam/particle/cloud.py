@@ -15,17 +15,21 @@ __all__ = ["Cloud", "gaussian_cloud", "moments_of", "resample", "systematic"]
 Cloud = NDArray[np.float32]
 
 
-def systematic(log_weight: NDArray[np.floating], rng: np.random.Generator) -> NDArray[np.int64]:
+def systematic(
+    log_weight: NDArray[np.floating], rng: np.random.Generator, count: int | None = None
+) -> NDArray[np.int64]:
     """Systematic resampling.
 
     Parent ``i`` is drawn ``floor(N w_i)`` or ``ceil(N w_i)`` times, ``N w_i`` times on average.
 
     Parameters
     ----------
-    log_weight : ndarray, shape (N,)
+    log_weight : ndarray, shape (P,)
         Log weights up to a constant, at least one of them finite.
     rng : Generator
         Source of the one random number.
+    count : int, optional
+        Number of draws, N; by default as many as there are weights.
 
     Returns
     -------
@@ -33,10 +37,10 @@ def systematic(log_weight: NDArray[np.floating], rng: np.random.Generator) -> ND
         Indices of the parents, ascending.
     """
     total = np.cumsum(np.exp(log_weight - log_weight.max()), dtype=np.float64)
-    count = len(total)
+    count = len(total) if count is None else count
     reached = np.ceil(total * (count / total[-1]) - rng.random()).astype(np.int64)
     reached[-1] = count
-    return np.repeat(np.arange(count), np.diff(reached, prepend=0))
+    return np.repeat(np.arange(len(total)), np.diff(reached, prepend=0))
 
 
 def resample(cloud: Cloud, log_weight: NDArray[np.floating], rng: np.random.Generator) -> Cloud:

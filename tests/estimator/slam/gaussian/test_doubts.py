@@ -17,21 +17,21 @@ from estimator.slam.layout import Layout
 CONFIG = GaussianConfig(range_std_m=0.1, region_m=3000.0, clutter_mean=3.0)
 LAYOUT = Layout(3, 0, shared=False)
 BEARING = np.radians([0.0, 120.0, 225.0])
+DISTANCE = np.array([1000.0, 1400.0, 2000.0])
 VISIBLE = 0.9
 
 
 def heard(step: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Path lengths (3, 2): from anchors a kilometre or two away to the agent, and a false one of each."""
-    distance = np.array([1000.0, 1400.0, 2000.0])
     towards = np.stack([np.cos(BEARING), np.sin(BEARING)], axis=1)
-    true = np.linalg.norm(towards * distance[:, None] - step, axis=1) + 0.1 * rng.normal(size=3)
-    return np.stack([true, distance + rng.normal(size=3)], axis=1)
+    true = np.linalg.norm(towards * DISTANCE[:, None] - step, axis=1) + 0.1 * rng.normal(size=3)
+    return np.stack([true, DISTANCE + rng.normal(size=3)], axis=1)
 
 
 def taken(lengths: np.ndarray):
     """The rows after an epoch with these lengths, of an agent that is known to a metre."""
     mean, covariance = np.zeros(LAYOUT.size), np.zeros((LAYOUT.size, LAYOUT.size))
-    for k, distance in enumerate((1000.0, 1400.0, 2000.0)):
+    for k, distance in enumerate(DISTANCE.tolist()):
         mean[LAYOUT.anchor_xy(k)] = distance * np.cos(BEARING[k]), distance * np.sin(BEARING[k])
     covariance[:2, :2] = np.eye(2)
     everywhere = np.ones((1, 3, 1))
@@ -46,7 +46,7 @@ def taken(lengths: np.ndarray):
 def enumerated(lengths: np.ndarray) -> dict[tuple[int, ...], float]:
     """Log evidence of every labelling (each anchor's path, -1 for none), over "all is clutter"."""
     h = -np.stack([np.cos(BEARING), np.sin(BEARING)], axis=1)
-    gap = lengths - np.array([1000.0, 1400.0, 2000.0])[:, None]
+    gap = lengths - DISTANCE[:, None]
     chance = VISIBLE * CONFIG.detection_probability
     result = {}
     for label in product((-1, 0, 1), repeat=3):

@@ -8,13 +8,17 @@ import pytest
 from estimator.slam.particle.cloud import gaussian_cloud, moments_of, resample, systematic
 
 
-def test_every_parent_is_drawn_as_often_as_its_weight_says():
+@pytest.mark.parametrize("draws", [60, 1000])
+def test_every_parent_is_drawn_as_often_as_its_weight_says(draws):
     """Counts are floor or ceil of N w; their mean over many draws is N w."""
     rng = np.random.default_rng(3)
     weight = rng.gamma(0.5, size=60)
-    expected = 60 * weight / weight.sum()
-    counts = np.array([np.bincount(systematic(np.log(weight), rng), minlength=60) for _ in range(4000)])
-    assert np.all(counts.sum(axis=1) == 60)
+    expected = draws * weight / weight.sum()
+    count = None if draws == 60 else draws  # by default as many as there are weights
+    counts = np.array(
+        [np.bincount(systematic(np.log(weight), rng, count), minlength=60) for _ in range(4000)]
+    )
+    assert np.all(counts.sum(axis=1) == draws)
     assert np.all(counts >= np.floor(expected))
     assert np.all(counts <= np.ceil(expected))
     # a count is Bernoulli about its floor: variance f (1 - f) with f the fraction
