@@ -57,20 +57,25 @@ def associate(ratio: Array, iterations: int = 12) -> Association:
     Association
     """
     graphs = ratio.reshape(int(np.prod(ratio.shape[:-2])), *ratio.shape[-2:])
-    live = np.any(graphs > 0.0, axis=-1)
-    most = max(int(live.sum(axis=1).max(initial=0)), 1)
-    if 2 * most > live.shape[1]:
-        weighted, forth, back = _messages(graphs, iterations)
-        shared = np.log1p(forth * back).sum(axis=(-2, -1))
-    else:  # features that no measurement is near only claim nothing: they need not be asked
-        near = np.arange(len(graphs))[:, None], np.argsort(~live, axis=1, kind="stable")[:, :most]
-        close, forth, fro = _messages(graphs[near], iterations)
-        shared = np.log1p(forth * fro).sum(axis=(-2, -1))
-        back = np.repeat(1.0 / (1.0 + forth.sum(axis=-2, keepdims=True)), graphs.shape[1], axis=1)
-        weighted = np.zeros_like(graphs)
-        weighted[near], back[near] = close, fro
+    near = graphs > 0.0
+    rows, columns = near.sum(axis=-1), near.sum(axis=-2)
+    weighted, forth = graphs, graphs  # of pairs that nothing else claims a part of
+    back = 1.0 / (1.0 + (graphs.sum(axis=-2, keepdims=True) - graphs))
+    torn = np.flatnonzero((rows.max(axis=-1, initial=0) > 1) | (columns.max(axis=-1, initial=0) > 1))
+    if torn.size:
+        most = int(np.count_nonzero(rows[torn], axis=1).max())
+        weighted, forth = weighted.copy(), forth.copy()
+        # features that no measurement is near claim nothing: they are only told at the end
+        at = torn[:, None], np.argsort(rows[torn] == 0, axis=1, kind="stable")[:, :most]
+        weighted[at], forth[at], told = _messages(graphs[at], iterations)
+        back[torn] = 1.0 / (1.0 + forth[torn].sum(axis=-2, keepdims=True))
+        back[at] = told
     total = 1.0 + weighted.sum(axis=-1)
-    log_evidence = np.log(total).sum(axis=-1) + np.log1p(forth.sum(axis=-2)).sum(axis=-1) - shared
+    log_evidence = (
+        np.log(total).sum(axis=-1)
+        + np.log1p(forth.sum(axis=-2)).sum(axis=-1)
+        - np.log1p(forth * back).sum(axis=(-2, -1))
+    )
     return Association(
         (weighted / total[..., None]).reshape(ratio.shape),
         log_evidence.reshape(ratio.shape[:-2]),

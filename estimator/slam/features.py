@@ -10,7 +10,7 @@ because RP is the origin and the wall stands half-way to its VRP ``v``.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,11 @@ from estimator.slam.births.virtual_anchors import VirtualAnchors
 from estimator.slam.layout import Layout
 
 __all__ = [
+    "Complex",
     "Features",
     "Prediction",
     "every_feature",
+    "plane",
     "predict_azimuths",
     "predict_paths",
     "reflect",
@@ -95,20 +97,42 @@ def wall_side(point: Array, vrp: Array) -> Array:
     return np.asarray(_dot(point, vrp) / length - 0.5 * length)
 
 
-def _plane(vectors: Array) -> Complex:
+def plane(vectors: Array) -> Complex:
     """Plane vectors (..., 2) as complex numbers (...)."""
     return np.asarray(vectors[..., 0] + 1j * vectors[..., 1])
 
 
 def _vectors(plane: Complex) -> Array:
-    """The inverse of :func:`_plane`."""
+    """The inverse of :func:`plane`."""
     return np.ascontiguousarray(plane)[..., None].view(np.float64)
 
 
-def _by_wall(point: Complex, vrp: Complex, turn: Complex, direction: Complex) -> Complex:
-    """``direction^T d M_vrp(point) / d vrp``."""
-    part = direction * point / vrp
-    return np.asarray(direction - part + turn * part.conj())
+@dataclass(frozen=True, eq=False)
+class _Bounces:
+    """Over which walls the paths of the F features of L slots go.
+
+    Parameters
+    ----------
+    wall : tuple of ndarray of int64, shape (F,)
+        The wall of the first of two bounces, and of the last; 0 of a bounce that a feature lacks.
+    before : ndarray of int64, shape (F,)
+        What the last bounce mirrors: 0 the anchor, 1 + l its image in wall l.
+    two : ndarray of bool, shape (L, L)
+        Pairs of different walls.
+    """
+
+    wall: tuple[Features, Features]
+    before: Features
+    two: NDArray[np.bool_]
+
+
+@cache
+def _bounces(slots: int) -> _Bounces:
+    walls, none = np.arange(slots), np.zeros(1, dtype=np.int64)
+    first = np.concatenate([none, 0 * walls, np.repeat(walls, slots)])
+    last = np.concatenate([none, walls, np.tile(walls, slots)])
+    before = np.where(np.arange(first.size) > slots, 1 + first, 0)
+    return _Bounces((first, last), before, ~np.eye(slots, dtype=bool))
 
 
 class Room:
@@ -125,15 +149,16 @@ class Room:
         )
         self.agent = mean[:, None, 0:2]  # (R, 1, 2)
         self.anchor, self.height2, self.bias = devices[..., 0:2], devices[..., 2], devices[..., 3]
-        self._anchor = _plane(self.anchor)  # (R, K)
-        wall = _plane(mean[:, layout.walls].reshape(rows, 1, layout.slots, 2))
+        self._anchor = plane(self.anchor)  # (R, K)
+        wall = plane(mean[:, layout.walls].reshape(rows, 1, layout.slots, 2))
         turn = wall / wall.conj()
         self._wall, self._turn = wall, turn  # (R, 1, L)
         self._second, self._second_turn = wall[:, :, None, :], turn[:, :, None, :]  # of (l, m)
         self._image = wall - turn * self._anchor[:, :, None].conj()  # (R, K, L)
         self._double = self._second - self._second_turn * self._image[..., None].conj()  # (R, K, L, M)
         flat = self._double.reshape(*self._anchor.shape, layout.pairs)
-        self._source = np.concatenate([self._anchor[:, :, None], self._image, flat], axis=2)
+        self._before = np.concatenate([self._anchor[:, :, None], self._image], axis=2)  # the last bounce
+        self._source = np.concatenate([self._before, flat], axis=2)
 
     def sources(self) -> Array:
         """The anchors and their images, (R, K, F, 2)."""
@@ -148,33 +173,28 @@ class Room:
 
         It depends on agent minus source by ``covector`` (R, K, C, 2).
         """
-        layout, slots = self.layout, self.layout.slots
+        layout, bounces = self.layout, _bounces(self.layout.slots)
+        rows, anchors, _ = feature.shape
+        row, anchor = np.arange(rows)[:, None, None], np.arange(anchors)[:, None]
+        by_source = plane(covector)
+        by_wall = np.zeros((*feature.shape, layout.slots), dtype=np.complex128)
+        lines = np.arange(feature.size).reshape(feature.shape) * layout.slots
+        for number in (1, 0):  # the last bounce, then the one before
+            passes = feature > (0 if number else layout.slots)
+            if not passes.any():
+                continue
+            wall = bounces.wall[number][feature]
+            vrp, turn = self._wall[row, 0, wall], self._turn[row, 0, wall]
+            back = turn * by_source.conj()  # minus the direction as seen from before the bounce
+            scale = self._before[row, anchor, bounces.before[feature] if number else 0] / vrp
+            by_vrp = by_source * (scale - 1.0) - back * scale.conj()  # minus direction^T d M_vrp / d vrp
+            by_wall.reshape(-1)[lines + wall] += np.where(passes, by_vrp, 0.0)
+            by_source = np.where(passes, -back, by_source)
         jacobian = np.zeros((*feature.shape, layout.size))
         jacobian[..., 0:2] = covector
-        by_source = _plane(covector)
-        lines = jacobian.reshape(-1, layout.size)
-        row, anchor, _ = np.broadcast_arrays(*np.ogrid[: len(feature), : layout.anchors, : feature.shape[2]])
-
-        def through(chosen: NDArray[np.bool_], last: NDArray[np.int64], before: Complex) -> None:
-            """Bounce chosen features off their walls ``last``; ``before`` is the image before."""
-            r, direction = row[chosen], by_source[chosen]
-            wall, turn = self._wall[r, 0, last], self._turn[r, 0, last]
-            by_last = -_by_wall(before, wall, turn, direction)
-            by_source[chosen] = -turn * direction.conj()  # seen from before the bounce
-            line, column = np.flatnonzero(chosen), layout.walls.start + 2 * last
-            lines[line, column] += by_last.real
-            lines[line, column + 1] += by_last.imag
-
-        double, single = feature > slots, (feature > 0) & (feature <= slots)
-        if double.any():
-            first, second = np.divmod(feature[double] - 1 - slots, slots)
-            r, k = row[double], anchor[double]
-            through(double, second, self._image[r, k, first])
-            through(double, first, self._anchor[r, k])
-        if single.any():
-            through(single, feature[single] - 1, self._anchor[row[single], anchor[single]])
+        jacobian[..., layout.walls] = by_wall.view(np.float64)
         by_anchor = _vectors(-by_source)
-        for j in range(layout.anchors):
+        for j in range(anchors):
             jacobian[:, j, :, layout.anchor_xy(j)] = by_anchor[:, j]
         return jacobian
 
@@ -183,21 +203,23 @@ class Room:
         rows, anchors = self._anchor.shape
         length = np.abs(self._wall)
         towards, half = (self._wall / length).conj(), 0.5 * length
-        agent = _plane(self.agent)[..., None]  # (R, 1, 1)
-        agent_side = (agent * towards).real - half  # (R, 1, L)
-        anchor_side = (self._anchor[:, :, None] * towards).real - half  # (R, K, L)
-        image_side = (self._image[..., None] * towards[:, :, None, :]).real - half[:, :, None, :]
-        near = agent_side[:, :, None, :]
-        total = near + image_side
-        fraction = near / np.where(np.abs(total) < 1e-9, 1e-9, total)
-        bounce = agent[..., None] + fraction * (self._double - agent[..., None])  # on wall m
-        bounce_side = (bounce * towards[..., None]).real - half[..., None]
-        pair = (near * image_side > 0.0) & (bounce_side * anchor_side[..., None] > 0.0)
-        pair &= ~np.eye(self.layout.slots, dtype=bool)
-        direct = np.ones((rows, anchors, 1), dtype=bool)
-        return np.concatenate(
-            [direct, agent_side * anchor_side > 0.0, pair.reshape(rows, anchors, self.layout.pairs)], axis=2
-        )
+
+        def side(point: Complex, towards: Complex, half: Array) -> Array:
+            return np.asarray((point * towards).real - half)
+
+        agent = side(plane(self.agent)[..., None], towards, half)  # (R, 1, L)
+        anchor = side(self._anchor[:, :, None], towards, half)  # (R, K, L)
+        image = side(self._image[..., None], towards[:, :, None], half[:, :, None])  # (R, K, L, M)
+        double = side(self._double, towards[..., None], half[..., None])
+        near, before = agent[:, :, None], agent[..., None]
+        total = near + image
+        fraction = near / np.where(np.abs(total) < 1e-9, 1e-9, total)  # of the way back to wall m
+        bounce = before + fraction * (double - before)  # its side of wall l
+        pair = (near * image > 0.0) & (bounce * anchor[..., None] > 0.0) & _bounces(self.layout.slots).two
+        result = np.ones((rows, anchors, self.layout.features), dtype=bool)
+        result[..., 1 : 1 + self.layout.slots] = agent * anchor > 0.0
+        result[..., 1 + self.layout.slots :] = pair.reshape(rows, anchors, self.layout.pairs)
+        return result
 
 
 def _places(mean: Array, layout: Layout) -> Room | VirtualAnchors:

@@ -22,6 +22,7 @@ Where features are virtual anchors (method ``va``: each anchor has its own), a s
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 __all__ = ["Layout"]
 
@@ -50,22 +51,28 @@ class Layout:
     FIRST_ANCHOR = 5
     PER_ANCHOR = 4
 
-    @property
+    @classmethod
+    @cache
+    def of(cls, anchors: int, slots: int, shared: bool = True) -> Layout:
+        """The layout of so many anchors and slots, one object that keeps its numbers."""
+        return cls(anchors, slots, shared)
+
+    @cached_property
     def size(self) -> int:
         """Length n of the state vector."""
         return self.FIRST_ANCHOR + self.PER_ANCHOR * self.anchors + self.per_slot * self.slots
 
-    @property
+    @cached_property
     def per_slot(self) -> int:
         """Coordinates of a slot."""
         return 2 if self.shared else 4
 
-    @property
+    @cached_property
     def pairs(self) -> int:
         """Ordered pairs of walls, L * L; virtual anchors have none."""
         return self.slots**2 if self.shared else 0
 
-    @property
+    @cached_property
     def features(self) -> int:
         """Path features per anchor: line of sight, L walls or virtual anchors, pairs of walls."""
         return 1 + self.slots + self.pairs
@@ -93,7 +100,7 @@ class Layout:
         begin = self.walls.start + self.per_slot * slot
         return slice(begin, begin + self.per_slot)
 
-    @property
+    @cached_property
     def walls(self) -> slice:
         """All slots, reshapes to (L, 2); of virtual anchors (L, 4)."""
         return slice(self.FIRST_ANCHOR + self.PER_ANCHOR * self.anchors, self.size)

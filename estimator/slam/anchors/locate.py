@@ -135,7 +135,7 @@ def _forked(
     for each in places:
         if each.enough.any():
             rows = rows.joined(_fork(state, each, config))
-    return replace(state, rows=tidy(rows, config))
+    return state.but(rows=tidy(rows, config))
 
 
 def _alike(rows: Rows, waiting: NDArray[np.int64], bias: int) -> list[NDArray[np.int64]]:
@@ -199,17 +199,18 @@ def _search(
 
 def _doubtful(state: GaussianState, k: int, config: GaussianConfig) -> bool:
     """Whether so much of a located anchor goes unexplained that its place should be checked."""
+    if state.epoch % _RECHECK or len(state.trail) < _STRIDE:
+        return False
     place = state.layout.anchor_xy(k)
-    known = np.trace(state.rows.covariance[state.rows.best, place, place]) < _KNOWN_M2
-    if known or state.epoch % _RECHECK or len(state.trail) < _STRIDE:
+    if np.trace(state.rows.covariance[state.rows.best, place, place]) < _KNOWN_M2:
+        return False
+    count = np.count_nonzero((state.heard[:, 1] == k) & (state.heard[:, 5] == 1.0))
+    expected = config.clutter_mean * len(state.trail)
+    if count <= expected + 4.0 * np.sqrt(expected) + 0.5 * len(state.trail):
         return False
     first = state.rows.visibility[state.rows.best, k, : 1 + state.layout.slots]
-    if np.sum(first * state.active()[state.rows.best, k, : len(first)] > 0.5) >= config.start_matches - 1:
-        return False
-    loose = state.loose
-    count = np.sum(loose[:, 1] == k)
-    expected = config.clutter_mean * len(state.trail)
-    return bool(count > expected + 4.0 * np.sqrt(expected) + 0.5 * len(state.trail))
+    active = state.active()[state.rows.best, k, : len(first)]
+    return bool(np.sum(first * active > 0.5) < config.start_matches - 1)
 
 
 def _gather(

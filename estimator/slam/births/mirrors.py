@@ -10,7 +10,7 @@ Both then enter, as hypotheses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -321,7 +321,7 @@ def _enter(state: GaussianState, k: int, modes: Modes, config: GaussianConfig) -
     new.log_weight[...] += modes.log_weight[mode]
     slots = state.slots.copy()
     slots.wall_id[slot], slots.born[slot], slots.owner[slot] = state.next_wall_id, state.epoch, k
-    return replace(state, rows=new, slots=slots, next_wall_id=state.next_wall_id + 1)
+    return state.but(rows=new, slots=slots, next_wall_id=state.next_wall_id + 1)
 
 
 def _forget(state: GaussianState, k: int, recent: Recent, modes: Modes) -> GaussianState:
@@ -330,4 +330,4 @@ def _forget(state: GaussianState, k: int, recent: Recent, modes: Modes) -> Gauss
     mine = np.flatnonzero((heard[:, 1] == k) & (heard[:, 5] == 1.0))
     mine = mine[len(mine) - len(recent.length_m) :]
     heard[mine[modes.told], 5] = 0.0
-    return replace(state, heard=heard)
+    return state.but(heard=heard)

@@ -12,7 +12,7 @@ batch of one.
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,13 +152,12 @@ def _step_alike(
         pool = Pool(_predict(pool.rows, epochs[0].time_s - states[0].time_s, config), pool.count)
     told = _correct(states, pool, paths, config)
     states = [
-        replace(
-            state,
+        state.but(
             epoch=epoch.index,
             time_s=epoch.time_s,
             rows=rows,
             log_evidence=state.log_evidence + gained,
-            slots=replace(state.slots, span_m=span, heard_from_m=stretch),
+            slots=state.slots.but(span_m=span, heard_from_m=stretch),
         )
         for state, epoch, rows, gained, span, stretch in zip(
             states,
@@ -185,10 +184,13 @@ def _step_alike(
     for members in _of_one_layout(states):
         group, before = [states[i] for i in members], [corrected[i] for i in members]
         pool = tidy_pool(_pooled(group, before, told.pool, len(members) == len(states)), config)
-        asked = may_judge(group).tolist()
-        for i, state, rows, ask in zip(members, group, pool.apart(), asked, strict=True):
-            tidied = replace(state, rows=rows)
-            states[i] = retire(judge(tidied, config), config) if ask else tidied
+        asked = may_judge(group)
+        for i, state, rows in zip(members, group, pool.apart(), strict=True):
+            states[i] = state.but(rows=rows)
+        doubted = [members[j] for j in np.flatnonzero(asked).tolist()]
+        judged = [judge(states[i], config) for i in doubted]
+        for i, state in zip(doubted, retire(judged, config), strict=True):
+            states[i] = state
     return states
 
 
@@ -221,7 +223,7 @@ def _predict(rows: Rows, step_s: float, config: GaussianConfig) -> Rows:
     mean, covariance = predict_motion(rows.mean, rows.covariance, step_s, config.acceleration_variance)
     stay, appear = 1.0 - config.vanish_probability, config.appear_probability
     visibility = stay * rows.visibility + appear * (1.0 - rows.visibility)
-    return replace(rows, mean=mean, covariance=covariance, visibility=visibility)
+    return rows.but(mean=mean, covariance=covariance, visibility=visibility)
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,8 +347,7 @@ def _bear(state: GaussianState, config: GaussianConfig) -> GaussianState:
     slots.wall_id[slot], slots.born[slot] = state.next_wall_id, state.epoch
     heard = state.heard.copy()
     heard[(heard[:, 1] == line.anchor) & np.isin(heard[:, 2], line.length_m), 5] = 0.0
-    return replace(
-        state,
+    return state.but(
         rows=state.rows.joined(new),
         slots=slots,
         next_wall_id=state.next_wall_id + 1,

@@ -23,7 +23,7 @@ __all__ = ["Hearing", "Near", "take"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_SHIFT = 2.0  # times the gate: by how much a correction may move what is expected
+_BENT = 0.5  # of the shift of a prediction: by how much its derivatives may be wrong
 _MARGIN = 1.5  # times the gate: pairs of walls farther from every measurement are not looked at
 
 
@@ -118,7 +118,7 @@ class Hearing:
             feature = pair + 1 + layout.slots
             shared = np.zeros_like(row) if len(self.variance) == 1 else row
             gap = self.paths.length_m[shared, anchor] - length_m[row, anchor, feature, None]
-            near = np.any((np.abs(gap) < reach) & free[row, anchor], axis=-1)
+            near = ((np.abs(gap) < reach) & free[row, anchor]).any(axis=-1)
             could[row, anchor, feature] = near
         return could
 
@@ -132,28 +132,27 @@ class Hearing:
         jacobian = prediction.derivatives(feature)
         flat = jacobian.reshape(rows, anchors * columns, layout.size)
         cross = flat @ covariance
-        spread = np.sum(cross * flat, axis=-1).reshape(feature.shape)
+        spread = np.einsum("rin,rin->ri", cross, flat).reshape(feature.shape)
         s = spread[..., None] + self.variance[:, :, None, :]
-        length = np.take_along_axis(prediction.length_m, feature, axis=2)
-        innovation = self.paths.length_m[:, :, None, :] - length[..., None]
+        at = np.arange(rows)[:, None, None], np.arange(anchors)[:, None], feature
+        innovation = self.paths.length_m[:, :, None, :] - prediction.length_m[at][..., None]
         distance = innovation**2 / s
         known = real & ((feature <= layout.slots) | (spread < config.pair_gate_std_m**2) | (not layout.pairs))
         gated = free[:, :, None, :] & (distance < config.gate_sigma**2) & known[..., None]
         ratio = np.zeros(gated.shape)
         fits = np.nonzero(gated)
-        own = np.take_along_axis(chance, feature, axis=2)
+        own = chance[at]
         odds = (own / ((1.0 - own) * self.clutter))[fits[:-1]]
         ratio[fits] = odds * (np.exp(-0.5 * distance[fits]) / np.sqrt(2.0 * np.pi * s[fits]))
         ratio = ratio * azimuth_ratio(mean, covariance, self.paths, layout, feature)
         return Near(feature, real, jacobian, cross.reshape(jacobian.shape), spread, innovation, ratio)
 
-    def fitting(self, near: Near, free: Mask) -> Mask:
-        """Features (R, K, C) that measurements ``free`` (R, K, M) might fit once corrected."""
-        reach = (_SHIFT * self.config.gate_sigma) ** 2 * (
-            near.spread[..., None] + self.variance[:, :, None, :]
-        )
-        close = np.any(free[:, :, None, :] & (near.innovation**2 < reach), axis=-1)
-        return np.asarray(near.real & close)
+    def fitting(self, near: Near, free: Mask, moved: Array) -> Mask:
+        """Features (R, K, C) that measurements ``free`` (R, K, M) might fit now that rows moved (R, n)."""
+        shift = np.einsum("rkcn,rn->rkc", near.jacobian, moved)[..., None]
+        reach = self.config.gate_sigma * np.sqrt(near.spread[..., None] + self.variance[:, :, None, :])
+        close = np.abs(near.innovation - shift) < reach + _BENT * np.abs(shift)
+        return np.asarray(near.real & (close & free[:, :, None, :]).any(axis=-1))
 
 
 def take(

@@ -7,7 +7,7 @@ walls, which only this asks for. And the paths that *are* explained tell where n
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,4 +93,4 @@ def look_back(state: GaussianState, config: GaussianConfig) -> Hindsight:
             np.stack([bounce, place[anchor[path]]], axis=1)[~direct],
         ]
     )
-    return Hindsight(replace(state, heard=heard), legs)
+    return Hindsight(state.but(heard=heard), legs)

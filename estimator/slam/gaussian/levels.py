@@ -9,8 +9,6 @@ lost clearly more than that bounced more than once, or off something unlike any 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,7 +87,7 @@ def learn_levels(state: GaussianState, config: GaussianConfig) -> GaussianState:
         path, wall = np.nonzero(near[:, 1:] & facing & (cosine > _LEAST_COSINE))
         loss = heard[path, 4] - levels[k, 0, 0]
         levels[k, 1] = _updated(levels[k, 1], normal_loss_db(loss, cosine[path, wall]), _FLOOR_DB)
-    return replace(state, levels_db=levels)
+    return state.but(levels_db=levels)
 
 
 def _updated(level: Array, samples: Array, floor: float) -> Array:

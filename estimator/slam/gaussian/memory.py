@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from estimator.slam.gaussian.pool import Pool, active_of
 from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.layout import Layout
 
-__all__ = ["clutter_density", "remember", "widen_spans", "widen_stretches"]
+__all__ = ["clutter_density", "heard_of", "remember", "widen_spans", "widen_stretches"]
 
 Array = NDArray[np.float64]
 
@@ -34,7 +33,7 @@ def clutter_density(states: Sequence[GaussianState], config: GaussianConfig) -> 
     runs, anchors = len(states), len(states[0].anchor_names)
     blind = np.array([state.blind for state in states])
     epochs = np.array([len(state.trail) for state in states])[:, None]
-    heard, run = _heard(states)
+    heard, run = heard_of(states)
     loose = heard[:, 5] == 1.0
     at = run[loose] * anchors + heard[loose, 1].astype(np.int64)
     counts = np.bincount(at, minlength=runs * anchors).reshape(runs, anchors)
@@ -43,7 +42,7 @@ def clutter_density(states: Sequence[GaussianState], config: GaussianConfig) -> 
     return np.asarray(np.maximum(rate, config.clutter_mean) / config.region_m + 1e-12)
 
 
-def _heard(states: Sequence[GaussianState]) -> tuple[Array, NDArray[np.int64]]:
+def heard_of(states: Sequence[GaussianState]) -> tuple[Array, NDArray[np.int64]]:
     """The remembered paths (N, 6) of all runs, and the run (N,) of each."""
     counts = [len(state.heard) for state in states]
     return np.concatenate([state.heard for state in states]), np.repeat(np.arange(len(states)), counts)
@@ -127,24 +126,23 @@ def remember(
     std = np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1]))
     taken = pool.rows.located[..., None] & (explained > 0.3)
     taken |= _beside_known(pool, active_of(pool, states, layout), paths, paths.valid & ~taken, layout, config)
-    run, k, j = np.nonzero(paths.valid)
+    run, k, _ = at = np.nonzero(paths.valid)
     now = np.array([state.epoch for state in states])
-    at = (run, k, j)
     columns = (paths.length_m[at], paths.std_m[at], paths.excess_loss_db[at], ~taken[at])
-    old, runs = _heard(states)
-    heard = np.concatenate([old, np.stack([now[run], k, *columns], axis=1)])
-    runs = np.concatenate([runs, run])
+    new = np.stack([now[run], k, *columns], axis=1)
+    ends = np.searchsorted(run, np.arange(1, len(states) + 1)).tolist()
+    here = np.column_stack([now, mean[:, layout.POSITION], std])
     window = config.birth_window if layout.shared else config.virtual_window
-    oldest = now - max(window, config.start_window)
-    order = np.argsort(runs, kind="stable")
-    order = order[heard[order, 0] > oldest[runs[order]]]
-    ends = np.cumsum(np.bincount(runs[order], minlength=len(states))).tolist()
-    heard = heard[order]
+    oldest = (now - max(window, config.start_window)).tolist()
     after = []
     for b, (state, begin, end) in enumerate(zip(states, [0, *ends], ends, strict=False)):
-        trail = state.trail[np.searchsorted(state.trail[:, 0], oldest[b], side="right") :]
-        trail = np.concatenate([trail, [[now[b], mean[b, 0], mean[b, 1], std[b]]]])
-        after.append(replace(state, trail=trail, heard=heard[begin:end]))
+        heard = state.heard[state.heard[:, 0].searchsorted(oldest[b], "right") :]  # in the order of epochs
+        trail = state.trail[state.trail[:, 0].searchsorted(oldest[b], "right") :]
+        after.append(
+            state.but(
+                trail=np.concatenate([trail, here[b : b + 1]]), heard=np.concatenate([heard, new[begin:end]])
+            )
+        )
     return after
 
 

@@ -12,6 +12,7 @@ Third bounces only explain away; as measurements they are too weak and too many.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise, product
 
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.config import GaussianConfig
-from estimator.slam.features import reflect, wall_side
+from estimator.slam.features import Complex, plane, reflect
 from estimator.slam.gaussian.state import GaussianState
 
 __all__ = ["multiple_lengths", "redundant_walls"]
@@ -44,85 +45,107 @@ def _families(walls: int) -> NDArray[np.bool_]:
     return np.array(same, dtype=bool).reshape(len(walls_of), len(kinds))
 
 
-def _length(offset: Array, device: Array) -> Array:
-    """Path lengths (...) of horizontal offsets (..., 2) from an anchor in the state vector."""
-    square = np.sum(offset * offset, axis=-1) + device[2]
-    return np.asarray(np.sqrt(np.maximum(square, 1e-6)) + device[3])
-
-
 def multiple_lengths(agent: Array, device: Array, walls: Array) -> Array:
     """Lengths of all paths over two and three walls.
 
     Parameters
     ----------
-    agent : ndarray, shape (N, 2)
+    agent : ndarray, shape (..., N, 2)
         Places of the agent, gauge frame, metres.
-    device : ndarray, shape (4,)
+    device : ndarray, shape (..., 4)
         An anchor in the state vector: position, squared height difference, clock bias.
-    walls : ndarray, shape (L, 2)
-        VRPs.
+    walls : ndarray, shape (..., L, 2)
+        VRPs; NaN of walls that no path goes over.
 
     Returns
     -------
-    ndarray, shape (N, S)
+    ndarray, shape (..., N, S)
         Metres; infinity where the bounces are impossible even if the walls had no ends.
     """
-    lengths = [np.empty((len(agent), 0))]
+    vrp, place, anchor = plane(walls), plane(agent)[..., None], plane(device[..., :2])[..., None, None]
+    size = np.abs(vrp)
+    with np.errstate(invalid="ignore"):  # of walls that no path goes over
+        towards, turn = (vrp / size).conj(), vrp / vrp.conj()
+
+    def side(point: Complex, wall: NDArray[np.int64]) -> Array:
+        """Signed distance from walls, negative on RP's side."""
+        return np.asarray((point * towards[..., None, wall]).real - 0.5 * size[..., None, wall])
+
+    lengths = [np.empty((*agent.shape[:-1], 0))]
     for order in _ORDERS:
-        sequence = walls[_sequences(len(walls), order)]  # (S, order, 2)
-        image = [np.broadcast_to(device[:2], (len(sequence), 2))]
-        for bounce in range(order):
-            image.append(reflect(image[-1], sequence[:, bounce]))
-        length = _length(agent[:, None] - image[-1], device)
-        point = np.broadcast_to(agent[:, None], (*length.shape, 2))
-        possible = np.ones(length.shape, dtype=bool)
-        for bounce in reversed(range(order)):  # from the agent back to the anchor
-            wall, source = sequence[:, bounce], image[bounce + 1]
-            side, other = wall_side(point, wall), wall_side(source, wall)
-            possible &= side * other < 0.0
-            fraction = side / np.where(side == other, np.inf, side - other)
-            point = point + fraction[..., None] * (source - point)
-        lengths.append(np.where(possible, length, np.inf))
-    return np.concatenate(lengths, axis=1)
+        sequence = _sequences(walls.shape[-2], order)
+        image = [anchor]
+        for wall in sequence.T:
+            image.append(vrp[..., None, wall] - turn[..., None, wall] * image[-1].conj())
+        point, possible = place, np.ones((*agent.shape[:-1], len(sequence)), dtype=bool)
+        for wall, source in zip(
+            sequence.T[::-1], image[:0:-1], strict=True
+        ):  # from the agent back to the anchor
+            here, there = side(point, wall), side(source, wall)
+            possible &= here * there < 0.0
+            point = point + here / np.where(here == there, np.inf, here - there) * (source - point)
+        lengths.append(np.where(possible, _length(place - image[-1], device), np.inf))
+    return np.concatenate(lengths, axis=-1)
 
 
-def redundant_walls(state: GaussianState, config: GaussianConfig) -> NDArray[np.int64]:
-    """Slots of walls found on the way of which paths over the other found walls explain all that was heard.
+def _length(offset: Complex, device: Array) -> Array:
+    """Path lengths (..., N, S) of horizontal offsets from anchors (..., 4) in the state vector."""
+    square = offset.real**2 + offset.imag**2 + device[..., None, None, 2]
+    return np.asarray(np.sqrt(np.maximum(square, 1e-6)) + device[..., None, None, 3])
+
+
+def redundant_walls(states: Sequence[GaussianState], config: GaussianConfig) -> NDArray[np.bool_]:
+    """Walls (B, L) found on the way of which paths over the other found walls explain all that was heard.
 
     A wall is compared with the others at the two ends of the stretch of track on which each anchor
     heard it. Walls are taken away one after the other, the youngest first: what explains another must stay.
 
     Parameters
     ----------
-    state : GaussianState
-        State of shared walls.
+    states : sequence of GaussianState
+        States of B runs with one layout, of shared walls.
     config : GaussianConfig
         ``pair_radius_m``.
     """
-    layout, slots = state.layout, state.slots
-    best = state.rows.best
-    mean = state.rows.mean[best]
-    vrp = mean[layout.walls].reshape(-1, 2)
-    found = slots.confirmed & state.rows.present[best]
-    gone: list[int] = []
-    for slot in sorted(np.flatnonzero(found & (slots.born >= 0)).tolist(), key=lambda s: -slots.born[s]):
-        others = vrp[found & (np.arange(len(vrp)) != slot)]
-        heard = np.flatnonzero(np.isfinite(slots.heard_from_m[slot, :, 0, 0]))
-        if heard.size and all(
-            _explained(slots.heard_from_m[slot, k], mean[layout.anchor(k)], vrp[slot], others, config)
-            for k in heard.tolist()
-        ):
-            gone.append(slot)
-            found[slot] = False
-    return np.array(gone, dtype=np.int64)
+    layout = states[0].layout
+    mean = np.array([state.rows.mean[state.rows.best] for state in states])
+    device = mean[:, layout.FIRST_ANCHOR : layout.walls.start].reshape(len(mean), layout.anchors, -1)
+    vrp = mean[:, layout.walls].reshape(len(mean), layout.slots, 2)
+    heard_from = np.array([state.slots.heard_from_m for state in states])  # (B, L, K, 2, 2)
+    born = np.array([state.slots.born for state in states])
+    found = np.array([state.slots.confirmed & state.rows.present[state.rows.best] for state in states])
+    gone = np.zeros(found.shape, dtype=bool)
+    asked = found & (born >= 0)
+    youngest = np.argsort(np.where(asked, -born, 1), axis=1, kind="stable")
+    for column in youngest.T[: int(np.max(asked.sum(axis=1)))]:
+        run = np.flatnonzero(asked[np.arange(len(mean)), column])
+        slot = column[run]
+        found[run, slot] = False
+        places = heard_from[run, slot]  # (N, K, 2, 2)
+        others = np.where(found[run, :, None], vrp[run], np.nan)[:, None]
+        explained = _explained(places, device[run], vrp[run, None, slot], others, config)
+        heard = np.isfinite(places[..., 0, 0])
+        gone[run, slot] = heard.any(axis=1) & np.all(explained | ~heard, axis=1)
+        found[run, slot] = ~gone[run, slot]
+    return gone
 
 
-def _explained(agent: Array, device: Array, wall: Array, others: Array, config: GaussianConfig) -> bool:
-    """Whether a path over the same other walls is as long as that over ``wall`` at all places of the agent.
+def _explained(
+    agent: Array, device: Array, wall: Array, others: Array, config: GaussianConfig
+) -> NDArray[np.bool_]:
+    """Whether (N, K) a path over the same other walls is as long as that over ``wall`` at all places.
 
     In a right corner the order of the bounces changes along the way, and the length does not tell it.
+
+    Parameters
+    ----------
+    agent : ndarray, shape (N, K, P, 2)
+        Places, NaN if an anchor has not heard the wall.
+    device, wall, others : ndarray, shapes (N, K, 4), (N, 1, 2) and (N, 1, L, 2)
+        Anchors, walls, and for each wall the others, NaN for those that there are not.
     """
-    own = _length(agent - reflect(device[:2], wall), device)
-    gap = np.abs(multiple_lengths(agent, device, others) - own[:, None])
-    families = (gap < config.pair_radius_m) @ _families(len(others))
-    return bool(np.any(np.all(families, axis=0)))
+    image = plane(reflect(device[..., :2], wall))[..., None, None]
+    own = _length(plane(agent)[..., None] - image, device)
+    near = np.abs(multiple_lengths(agent, device, others) - own) < config.pair_radius_m
+    families = near @ _families(others.shape[-2])
+    return np.asarray(np.any(np.all(families, axis=-2), axis=-1))

@@ -56,7 +56,7 @@ def open_slot(state: GaussianState) -> tuple[GaussianState, int]:
         np.append(slots.owner, -1),
         np.concatenate([slots.heard_from_m, np.full((1, new.anchors, 2, 2), np.nan)]),
     )
-    return replace(state, rows=grown, slots=more), old.slots
+    return state.but(rows=grown, slots=more), old.slots
 
 
 def _widened(visibility: Array, old: Layout, new: Layout) -> Array:
@@ -99,7 +99,7 @@ def judge(state: GaussianState, config: GaussianConfig) -> GaussianState:
         if agreed and support >= config.confirm_support:
             slots = state.slots.copy()
             slots.confirmed[slot] = True
-            state = replace(state, slots=slots, rows=rows.keep(alike))
+            state = state.but(slots=slots, rows=rows.keep(alike))
         elif weight[have].sum() < 1e-5 or (
             _overdue(state, int(slot), config) and not (agreed and support > 0)
         ):
@@ -107,15 +107,18 @@ def judge(state: GaussianState, config: GaussianConfig) -> GaussianState:
     return state
 
 
-def retire(state: GaussianState, config: GaussianConfig) -> GaussianState:
+def retire(states: Sequence[GaussianState], config: GaussianConfig) -> list[GaussianState]:
     """Take out the walls found on the way that bounces over others, found later perhaps, explain.
 
-    They are looked at every few epochs.
+    They are looked at every few epochs; runs with one layout together.
     """
-    if state.shared and state.epoch % _RECHECK == 0:
-        for slot in redundant_walls(state, config):
-            state = _close_slot(state, int(slot))
-    return state
+    after = list(states)
+    due = [i for i, state in enumerate(states) if state.shared and state.epoch % _RECHECK == 0]
+    if due:
+        gone = redundant_walls([states[i] for i in due], config)
+        for row, slot in np.argwhere(gone).tolist():
+            after[due[row]] = _close_slot(after[due[row]], slot)
+    return after
 
 
 def _overdue(state: GaussianState, slot: int, config: GaussianConfig) -> bool:
@@ -162,4 +165,4 @@ def _close_slot(state: GaussianState, slot: int) -> GaussianState:
     slots.wall_id[slot], slots.born[slot], slots.owner[slot] = -1, -1, -1
     slots.span_m[slot] = np.inf, -np.inf
     slots.heard_from_m[slot] = np.nan
-    return replace(state, rows=rows, slots=slots)
+    return state.but(rows=rows, slots=slots)

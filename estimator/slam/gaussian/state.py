@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,18 @@ FORMAT = "hapslam-gaussian-state/3"
 NOWHERE_M = 1e4  # coordinates of unknown anchors and of the VRPs of empty slots
 
 
+class _Value:
+    """A frozen dataclass of which many copies are made."""
+
+    def but(self, **changes: Any) -> Self:
+        """The same with some fields changed: :func:`dataclasses.replace` at a tenth of its cost."""
+        changed = object.__new__(type(self))
+        changed.__dict__.update(self.__dict__, **changes)
+        return changed
+
+
 @dataclass(frozen=True, eq=False)
-class Rows:
+class Rows(_Value):
     """Hypotheses, one per row, each with one joint Gaussian.
 
     Shapes: R rows, K anchors, L wall slots, F features per anchor, n the length of
@@ -89,7 +100,7 @@ def log_sum_exp(values: NDArray[np.float64]) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Slots:
+class Slots(_Value):
     """What all rows agree on about the wall slots.
 
     Parameters
@@ -128,7 +139,7 @@ class Slots:
 
 
 @dataclass(frozen=True, eq=False)
-class GaussianState:
+class GaussianState(_Value):
     """Hypotheses and what the next steps need of the past.
 
     Parameters
@@ -181,7 +192,7 @@ class GaussianState:
     @property
     def layout(self) -> Layout:
         """Positions in the state vector."""
-        return Layout(len(self.anchor_names), len(self.slots.wall_id), self.shared)
+        return Layout.of(len(self.anchor_names), len(self.slots.wall_id), self.shared)
 
     @property
     def loose(self) -> NDArray[np.float64]:

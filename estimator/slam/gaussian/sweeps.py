@@ -10,7 +10,6 @@ hypotheses and waits for its confirmation as every new wall does.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +103,7 @@ def take_sweep(
         rows.mean[r], rows.covariance[r] = mean, covariance
         rows.log_weight[r] += log_density
     mean, covariance = turned(state.rows.mean, rows.mean, rows.covariance, rows.located, state.layout)
-    state = replace(state, rows=replace(rows, mean=mean, covariance=covariance))
+    state = state.but(rows=rows.but(mean=mean, covariance=covariance))
     if heading_held:
         for j in np.flatnonzero(new):
             state = _enter(state, seen[j], noise[j])
@@ -210,4 +209,4 @@ def _enter(state: GaussianState, seen: Array, noise: Array) -> GaussianState:
         rows.present[r, slot] = True
     slots = state.slots.copy()
     slots.wall_id[slot], slots.born[slot] = state.next_wall_id, state.epoch
-    return replace(state, rows=rows, slots=slots, next_wall_id=state.next_wall_id + 1)
+    return state.but(rows=rows, slots=slots, next_wall_id=state.next_wall_id + 1)

@@ -132,7 +132,7 @@ def correct(
 
     # second pass: everything else, predicted again, where a measurement might fit a feature
     free = free & ~used
-    left = epoch.fitting(near, free) & ~taken
+    left = epoch.fitting(near, free, mean - before) & ~taken
     doubt = np.flatnonzero(left.any(axis=(1, 2)))
     parent, explained = np.arange(len(mean)), used.astype(np.float64)
     if doubt.size:
