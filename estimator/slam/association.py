@@ -10,6 +10,8 @@ Bethe approximation at its fixed point, exact where the association graph is a t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,28 +19,42 @@ from numpy.typing import NDArray
 __all__ = ["Association", "associate"]
 
 Array = NDArray[np.float64]
-_SETTLED = 1e-9  # relative change of messages
+_SETTLED = 1e-6  # relative change of messages
 
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Marginal association probabilities.
+    """Marginal association probabilities, from the messages of belief propagation.
 
     Parameters
     ----------
-    probability : ndarray, shape (..., F, M)
-        Probability that feature ``f`` gave measurement ``j``.
-    log_evidence : ndarray, shape (...)
-        Log of the sum over all associations of the product of their ratios
-        (Bethe approximation).
+    weighted : ndarray, shape (..., F, M)
+        Ratios, times what the measurements tell the features.
+    forth : ndarray, shape (..., F, M)
+        What feature ``f`` tells measurement ``j``.
     message : ndarray, shape (..., F, M)
         What measurement ``j`` tells feature ``f``: from 1, the pair is uncontested, to
         0, others claim the measurement.
     """
 
-    probability: Array
-    log_evidence: Array
+    weighted: Array
+    forth: Array
     message: Array
+
+    @cached_property
+    def _total(self) -> Array:
+        return np.asarray(1.0 + self.weighted.sum(axis=-1))
+
+    @cached_property
+    def probability(self) -> Array:
+        """Probability (..., F, M) that feature ``f`` gave measurement ``j``."""
+        return np.asarray(self.weighted / self._total[..., None])
+
+    @cached_property
+    def log_evidence(self) -> Array:
+        """Log (...) of the sum over all associations of the product of their ratios (Bethe approximation)."""
+        own, told = np.log(self._total).sum(axis=-1), np.log1p(self.forth.sum(axis=-2)).sum(axis=-1)
+        return np.asarray(own + told - np.log1p(self.forth * self.message).sum(axis=(-2, -1)))
 
 
 def associate(ratio: Array, iterations: int = 12) -> Association:
@@ -56,7 +72,7 @@ def associate(ratio: Array, iterations: int = 12) -> Association:
     -------
     Association
     """
-    graphs = ratio.reshape(int(np.prod(ratio.shape[:-2])), *ratio.shape[-2:])
+    graphs = ratio.reshape(prod(ratio.shape[:-2]), *ratio.shape[-2:])
     near = graphs > 0.0
     rows, columns = near.sum(axis=-1), near.sum(axis=-2)
     weighted, forth = graphs, graphs  # of pairs that nothing else claims a part of
@@ -70,17 +86,7 @@ def associate(ratio: Array, iterations: int = 12) -> Association:
         weighted[at], forth[at], told = _messages(graphs[at], iterations)
         back[torn] = 1.0 / (1.0 + forth[torn].sum(axis=-2, keepdims=True))
         back[at] = told
-    total = 1.0 + weighted.sum(axis=-1)
-    log_evidence = (
-        np.log(total).sum(axis=-1)
-        + np.log1p(forth.sum(axis=-2)).sum(axis=-1)
-        - np.log1p(forth * back).sum(axis=(-2, -1))
-    )
-    return Association(
-        (weighted / total[..., None]).reshape(ratio.shape),
-        log_evidence.reshape(ratio.shape[:-2]),
-        back.reshape(ratio.shape),
-    )
+    return Association(*(each.reshape(ratio.shape) for each in (weighted, forth, back)))
 
 
 def _messages(graphs: Array, iterations: int) -> tuple[Array, Array, Array]:

@@ -67,12 +67,18 @@ class Prediction:
     def derivatives(self, feature: Features) -> Array:
         """Derivatives (R, K, C, n) of the lengths of features ``feature`` (R, K, C)."""
         layout = self.room.layout
-        length = np.take_along_axis(self.flat_m, feature, axis=2)
-        jacobian = self.room.pull_back(self.room.offset_of(feature) / length[..., None], feature)
+        length = self.flat_m[(*_lines(feature), feature)]
+        jacobian = self.room.pull_back(self.room.offset_of(feature) / length, feature)
         for k in range(layout.anchors):
             jacobian[:, k, :, layout.height2(k)] = 0.5 / length[:, k]
             jacobian[:, k, :, layout.bias(k)] = 1.0
         return jacobian
+
+
+def _lines(feature: Features) -> tuple[Features, Features]:
+    """Row and anchor of features (R, K, C), to be indexed with."""
+    rows, anchors, _ = feature.shape
+    return np.arange(rows)[:, None, None], np.arange(anchors)[:, None]
 
 
 def every_feature(rows: int, layout: Layout) -> Features:
@@ -147,8 +153,8 @@ class Room:
         devices = mean[:, layout.FIRST_ANCHOR : layout.walls.start].reshape(
             rows, layout.anchors, layout.PER_ANCHOR
         )
-        self.agent = mean[:, None, 0:2]  # (R, 1, 2)
         self.anchor, self.height2, self.bias = devices[..., 0:2], devices[..., 2], devices[..., 3]
+        self._agent = plane(mean[:, None, None, 0:2])  # (R, 1, 1)
         self._anchor = plane(self.anchor)  # (R, K)
         wall = plane(mean[:, layout.walls].reshape(rows, 1, layout.slots, 2))
         turn = wall / wall.conj()
@@ -164,19 +170,22 @@ class Room:
         """The anchors and their images, (R, K, F, 2)."""
         return _vectors(self._source)
 
-    def offset_of(self, feature: Features) -> Array:
-        """From the sources of the features ``feature`` (R, K, C) to the agent, (R, K, C, 2)."""
-        return self.agent[:, :, None] - _vectors(np.take_along_axis(self._source, feature, axis=2))
+    def offsets(self) -> Complex:
+        """From the sources to the agent, (R, K, F)."""
+        return np.asarray(self._agent - self._source)
 
-    def pull_back(self, covector: Array, feature: Features) -> Array:
+    def offset_of(self, feature: Features) -> Complex:
+        """From the sources of the features ``feature`` (R, K, C) to the agent, (R, K, C)."""
+        return np.asarray(self._agent - self._source[(*_lines(feature), feature)])
+
+    def pull_back(self, covector: Complex, feature: Features) -> Array:
         """Derivatives (R, K, C, n) of something of features ``feature`` (R, K, C).
 
-        It depends on agent minus source by ``covector`` (R, K, C, 2).
+        It depends on agent minus source by ``covector`` (R, K, C).
         """
         layout, bounces = self.layout, _bounces(self.layout.slots)
-        rows, anchors, _ = feature.shape
-        row, anchor = np.arange(rows)[:, None, None], np.arange(anchors)[:, None]
-        by_source = plane(covector)
+        row, anchor = _lines(feature)
+        by_source = covector
         by_wall = np.zeros((*feature.shape, layout.slots), dtype=np.complex128)
         lines = np.arange(feature.size).reshape(feature.shape) * layout.slots
         for number in (1, 0):  # the last bounce, then the one before
@@ -191,10 +200,10 @@ class Room:
             by_wall.reshape(-1)[lines + wall] += np.where(passes, by_vrp, 0.0)
             by_source = np.where(passes, -back, by_source)
         jacobian = np.zeros((*feature.shape, layout.size))
-        jacobian[..., 0:2] = covector
+        jacobian[..., 0], jacobian[..., 1] = covector.real, covector.imag
         jacobian[..., layout.walls] = by_wall.view(np.float64)
         by_anchor = _vectors(-by_source)
-        for j in range(anchors):
+        for j in range(layout.anchors):
             jacobian[:, j, :, layout.anchor_xy(j)] = by_anchor[:, j]
         return jacobian
 
@@ -207,7 +216,7 @@ class Room:
         def side(point: Complex, towards: Complex, half: Array) -> Array:
             return np.asarray((point * towards).real - half)
 
-        agent = side(plane(self.agent)[..., None], towards, half)  # (R, 1, L)
+        agent = side(self._agent, towards, half)  # (R, 1, L)
         anchor = side(self._anchor[:, :, None], towards, half)  # (R, K, L)
         image = side(self._image[..., None], towards[:, :, None], half[:, :, None])  # (R, K, L, M)
         double = side(self._double, towards[..., None], half[..., None])
@@ -242,8 +251,8 @@ def predict_paths(mean: Array, layout: Layout) -> Prediction:
     Prediction
     """
     room = _places(mean, layout)
-    offset = room.agent[:, :, None, :] - room.sources()
-    square = _dot(offset, offset) + room.height2[:, :, None]
+    offset = room.offsets()
+    square = offset.real**2 + offset.imag**2 + room.height2[:, :, None]
     length = np.sqrt(np.maximum(square, 1e-6))
     return Prediction(length + room.bias[:, :, None], length, room)
 
@@ -271,9 +280,8 @@ def predict_azimuths(mean: Array, layout: Layout, feature: Features | None = Non
     room = _places(mean, layout)
     feature = every_feature(len(mean), layout) if feature is None else feature
     offset = room.offset_of(feature)
-    square = np.maximum(_dot(offset, offset), 1e-6)[..., None]
-    azimuth = np.arctan2(-offset[..., 1], -offset[..., 0]) + mean[:, None, None, layout.THETA]
-    across = np.stack([-offset[..., 1], offset[..., 0]], axis=-1) / square
+    azimuth = np.angle(-offset) + mean[:, None, None, layout.THETA]
+    across = 1j * offset / np.maximum(offset.real**2 + offset.imag**2, 1e-6)
     jacobian = room.pull_back(across, feature)
     jacobian[..., layout.THETA] = 1.0
     return azimuth, jacobian

@@ -29,11 +29,11 @@ def predict_motion(
     mean: Array, covariance: Array, step_s: float, acceleration_variance: float
 ) -> tuple[Array, Array]:
     """Means (R, n) and covariances (R, n, n) one step later; only the agent moves."""
-    move = transition(step_s)
-    agent = Layout.AGENT
+    place, speed, agent = slice(0, 2), slice(2, 4), Layout.AGENT
     mean, covariance = mean.copy(), covariance.copy()
-    mean[:, agent] = mean[:, agent] @ move.T
-    covariance[:, agent, :] = move @ covariance[:, agent, :]
-    covariance[:, :, agent] = covariance[:, :, agent] @ move.T
-    covariance[:, agent, agent] += process_noise(step_s, acceleration_variance)
+    mean[:, place] += step_s * mean[:, speed]
+    covariance[:, place] += step_s * covariance[:, speed]
+    covariance[:, :, place] += step_s * covariance[:, :, speed]
+    moved = covariance[:, agent, agent] + process_noise(step_s, acceleration_variance)
+    covariance[:, agent, agent] = 0.5 * (moved + moved.transpose(0, 2, 1))
     return mean, covariance

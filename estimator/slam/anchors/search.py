@@ -28,6 +28,7 @@ _REFINED, _REFINED_IN_ALL = (
     60,
     600,
 )  # intersections that are refined and weighed, of one clock bias and of all
+_STILL_M = 1e-4  # a place that moves by less has been found
 _SHORTEST_M = 1e-3  # a path, whatever the clock says
 _SURE = 0.9  # association probability from which a path is believed to be a feature's
 _BEHIND_LOG_PRIOR = -2.5  # of standing behind a known wall: anchors are rarely in other rooms
@@ -109,31 +110,26 @@ def _refine(
     points: Array, bias: Array, heard: Heard, walls: dict[int, Array], config: GaussianConfig
 ) -> tuple[Array, Array]:
     """Gauss-Newton on the likeliest label of each centre; points (S, 2), information (S, 2, 2)."""
-    information = np.zeros((len(points), 2, 2))
+    points, information = points.copy(), np.zeros((len(points), 2, 2))
+    moving = np.arange(len(points))
     for _ in range(6):
-        seen = see(points, bias, heard, config)
-        chance = (prior_visibility(points, heard, walls) * config.detection_probability)[:, None]
-        best = np.argmax(seen.relative, axis=-1)[..., None]
-        weight = _odds(np.take_along_axis(seen.relative, best, axis=-1), chance)[..., 0]
-        weight = weight / (1.0 + weight)
-        error = np.take_along_axis(seen.residual, best, axis=-1)[..., 0]
-        own = np.take_along_axis(np.broadcast_to(heard.variance_m2, seen.relative.shape), best, axis=-1)[
-            ..., 0
-        ]
-        weight = np.where(weight > 0.0, weight / (seen.variance + own), 0.0)
-        pull = weight * np.where(weight > 0.0, error, 0.0)
-        xx, xy, yy = (
-            np.sum(weight * one * other, axis=(1, 2))
-            for one, other in (
-                (seen.along, seen.along),
-                (seen.along, seen.across),
-                (seen.across, seen.across),
-            )
-        )
-        information = np.stack([np.stack([xx, xy], axis=-1), np.stack([xy, yy], axis=-1)], axis=-1)
-        information += 1e-4 * np.eye(2)
-        gradient = np.stack([np.sum(pull * unit, axis=(1, 2)) for unit in (seen.along, seen.across)], axis=-1)
-        points = points + np.linalg.solve(information, gradient[..., None])[..., 0]
+        at = points[moving]
+        seen = see(at, bias[moving], heard, config)
+        chance = prior_visibility(at, heard, walls) * config.detection_probability
+        best = np.argmax(seen.relative, axis=-1)
+        label = (*np.ogrid[tuple(slice(n) for n in best.shape)], best)
+        weight = _odds(seen.relative[label][..., None], chance[:, None])[..., 0]
+        variance = seen.variance + np.broadcast_to(heard.variance_m2, seen.relative.shape)[label]
+        weight = np.where(weight > 0.0, weight / (1.0 + weight) / variance, 0.0)
+        unit = np.stack([seen.along, seen.across], axis=-1)
+        pull = weight * np.where(weight > 0.0, seen.residual[label], 0.0)
+        gradient = np.einsum("seq,seqi->si", pull, unit)
+        own = np.einsum("seq,seqi,seqj->sij", weight, unit, unit) + 1e-4 * np.eye(2)
+        step = np.linalg.solve(own, gradient[..., None])[..., 0]
+        points[moving], information[moving] = at + step, own
+        moving = moving[np.sum(step**2, axis=1) > _STILL_M**2]
+        if moving.size == 0:
+            break
     return points, information
 
 

@@ -138,17 +138,19 @@ def see(points: Array, bias: Array, heard: Heard, config: GaussianConfig) -> See
     residual = heard.length_m - (bias[:, None, None] + distance)[..., None]
     variance = spread[..., None] + heard.variance_m2
     square = residual * residual / variance
-    relative = np.exp(-0.5 * square) / (np.sqrt(2.0 * np.pi * variance) * heard.clutter)
-    relative[~(square < config.gate_sigma**2)] = 0.0
+    relative, near = np.zeros(square.shape), np.nonzero(square < config.gate_sigma**2)
+    clutter = np.broadcast_to(heard.clutter, square.shape)[near]
+    relative[near] = np.exp(-0.5 * square[near]) / (np.sqrt(2.0 * np.pi * variance[near]) * clutter)
     return Seen(relative, residual, along, across, spread)
 
 
 def prior_visibility(points: Array, heard: Heard, walls: dict[int, Array]) -> Array:
     """Prior visibilities (S, Q)."""
     visible = np.tile(np.array(_PRIOR)[heard.bounces], (len(points), 1))
-    for slot, vrp in walls.items():
-        over = (heard.wall == slot) & (heard.bounces == 1)
-        visible[:, over] *= (wall_side(points, vrp) < 0.0)[:, None]
+    if walls:
+        slots, vrps = np.array(list(walls)), np.array(list(walls.values()))
+        over, wall = np.nonzero((heard.wall[:, None] == slots) & (heard.bounces == 1)[:, None])
+        visible[:, over] *= wall_side(points[:, None], vrps)[:, wall] < 0.0
     return visible
 
 

@@ -15,6 +15,7 @@ from estimator.slam.layout import Layout
 __all__ = ["VirtualAnchors", "implied_walls", "vrp_by_anchor", "vrp_by_image", "vrp_of_image"]
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 
 def vrp_of_image(image: Array, anchor: Array) -> Array:
@@ -75,16 +76,21 @@ class VirtualAnchors:
         points = np.broadcast_to(self.point[:, None], shape)
         return np.concatenate([self.anchor[:, :, None], points], axis=2)
 
-    def offset_of(self, feature: NDArray[np.int64]) -> Array:
-        """From the sources of the features ``feature`` (R, K, C) to the agent, (R, K, C, 2)."""
-        source = np.take_along_axis(self.sources(), feature[..., None], axis=2)
-        return np.asarray(self.agent[:, :, None] - source)
+    def offsets(self) -> Complex:
+        """From the sources to the agent, (R, K, F), in the complex plane."""
+        offset = self.agent[:, :, None] - self.sources()
+        return np.asarray(offset[..., 0] + 1j * offset[..., 1])
 
-    def pull_back(self, covector: Array, feature: NDArray[np.int64]) -> Array:
+    def offset_of(self, feature: NDArray[np.int64]) -> Complex:
+        """From the sources of the features ``feature`` (R, K, C) to the agent, (R, K, C)."""
+        return np.asarray(np.take_along_axis(self.offsets(), feature, axis=2))
+
+    def pull_back(self, covector: Complex, feature: NDArray[np.int64]) -> Array:
         """Derivatives (R, K, C, n) of something of features ``feature`` (R, K, C).
 
-        It depends on agent minus source by ``covector`` (R, K, C, 2).
+        It depends on agent minus source by ``covector`` (R, K, C).
         """
+        covector = np.stack([covector.real, covector.imag], axis=-1)
         layout = self.layout
         jacobian = np.zeros((*feature.shape, layout.size))
         jacobian[..., 0:2] = covector

@@ -22,7 +22,7 @@ from estimator.slam.births.virtual_anchors import vrp_by_anchor, vrp_by_image, v
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import wall_side
 from estimator.slam.gaussian.levels import loss_limits
-from estimator.slam.gaussian.packing import packed
+from estimator.slam.gaussian.memory import heard_of
 from estimator.slam.gaussian.pool import pending_of
 from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.layout import Layout
@@ -87,45 +87,46 @@ class Bank:
         return jacobian
 
 
-def may_bear(states: Sequence[GaussianState], config: GaussianConfig) -> NDArray[np.bool_]:
-    """Which of B runs :func:`find_line` should be asked about: a quick test of all of them.
+def may_bear(states: Sequence[GaussianState], config: GaussianConfig) -> list[int]:
+    """The runs that :func:`find_line` should be asked about, by a quick test of all of them.
 
-    A run that no wall is pending in, and in which some path of the last two epochs has company in enough
+    Those that no wall is pending in, and in which some path of the last two epochs has company in enough
     others: by the triangle inequality the length of a path over a wall changes by no more than the
     agent moves. Of clutter few are so near.
     """
-    idle = ~pending_of(states)
-    loose = [state.loose for state in states]
-    run = np.repeat(np.arange(len(states)), [len(each) for each in loose])
-    points = np.concatenate(loose)
+    heard, run = heard_of(states)
     now = np.array([state.epoch for state in states])
-    use = idle[run] & (points[:, 0] > now[run] - config.birth_window)
-    if np.isfinite(points[:, 4]).any():
-        limit = np.array([loss_limits(state, config) for state in states])
-        use &= ~(points[:, 4] >= limit[run, points[:, 1].astype(np.int64)])
-    points, run = points[use], run[use]
-    # the agent at the epoch of each path: the trails of all runs, one after the other
-    trails = [state.trail for state in states]
-    epoch = np.concatenate([trail[:, 0] - trail[0, 0] for trail in trails])
-    first = np.array([trail[0, 0] for trail in trails])
-    span = max(float(epoch.max(initial=0.0)) + 1.0, 1.0)
-    key = epoch + span * np.repeat(np.arange(len(states)), [len(trail) for trail in trails])
-    at = np.searchsorted(key, points[:, 0] - first[run] + span * run)
-    place = np.concatenate(trails)[np.minimum(at, key.size - 1), 1:3]
-    count = np.bincount(run, minlength=len(states))
-    column = np.arange(run.size) - (np.cumsum(count) - count)[run]
-    table = np.full((len(states), int(count.max(initial=0)), 6), np.inf)
-    table[run, column] = np.column_stack([points[:, :3], np.maximum(points[:, 3], config.range_std_m), place])
-    real = np.isfinite(table[..., 0])
-    late, really = packed(real & (table[..., 0] >= now[:, None] - 1))
-    last = np.take_along_axis(table, late[..., None], axis=1)[:, :, None]  # (B, Q, 1, 6)
-    every = np.where(real[..., None], table, 0.0)[:, None]  # (B, 1, P, 6)
-    last = np.where(really[:, :, None, None], last, 0.0)
-    moved = np.hypot(last[..., 4] - every[..., 4], last[..., 5] - every[..., 5])
-    reach = moved + 4.0 * np.hypot(last[..., 3], every[..., 3])
-    company = (np.abs(last[..., 2] - every[..., 2]) < reach) & (last[..., 1] == every[..., 1])
-    company &= real[:, None] & really[..., None]
-    return np.asarray(idle & np.any(company.sum(axis=-1) >= config.birth_support, axis=-1))
+    use = (heard[:, 5] == 1.0) & (heard[:, 0] > (now - config.birth_window)[run])
+    points, run = heard[use], run[use]
+    tracks = [state.trail[-config.birth_window :, 1:3] for state in states]
+    ends = np.cumsum([len(track) for track in tracks])
+    track, begin = np.concatenate(tracks), np.concatenate([[0], ends[:-1]])
+    way = track - np.repeat(track[ends - 1], ends - begin, axis=0)
+    moved = np.maximum.reduceat(np.hypot(way[:, 0], way[:, 1]), begin)
+    std = np.maximum(points[:, 3], config.range_std_m)
+    late = points[:, 0] >= (now - 1)[run]
+    reach = moved[run[late]] + 4.0 * np.hypot(std[late], std.max(initial=0.0))
+    # lengths side by side, those of each run and anchor out of the others' reach
+    line = run * len(states[0].anchor_names) + points[:, 1]
+    place = points[:, 2] + line * (points[:, 2].max(initial=0.0) + 2.0 * reach.max(initial=0.0))
+    ordered, place = np.sort(place), place[late]
+    company = ordered.searchsorted(place + reach) - ordered.searchsorted(place - reach)
+    crowded = np.unique(run[late][company >= config.birth_support])
+    idle = ~pending_of(states)
+    return [i for i in crowded[idle[crowded]].tolist() if _in_company(states[i], config)]
+
+
+def _in_company(state: GaussianState, config: GaussianConfig) -> bool:
+    """The test of :func:`may_bear` of one run, with the place of the agent at each epoch, and powers."""
+    points = state.loose[state.loose[:, 0] > state.epoch - config.birth_window]
+    points = points[~(points[:, 4] >= loss_limits(state, config)[points[:, 1].astype(np.int64)])]
+    late = points[:, 0] >= state.epoch - 1
+    place = state.trail[np.searchsorted(state.trail[:, 0], points[:, 0]), 1:3]
+    std = np.maximum(points[:, 3], config.range_std_m)
+    moved = np.linalg.norm(place[late, None] - place, axis=-1)
+    reach = moved + 4.0 * np.hypot(std[late, None], std)
+    company = (np.abs(points[late, None, 2] - points[:, 2]) < reach) & (points[late, None, 1] == points[:, 1])
+    return bool(company.sum(axis=1).max(initial=0) >= config.birth_support)
 
 
 def find_line(loose: Array, now: int, limit_db: Array, config: GaussianConfig) -> Line | None:

@@ -207,7 +207,7 @@ def _born(states: list[GaussianState], config: GaussianConfig) -> list[GaussianS
     if not states[0].shared:
         return [bear_virtual_anchors(state, config) for state in states]
     states = [learn_levels(state, config) for state in states]
-    for i in np.flatnonzero(may_bear(states, config)).tolist():
+    for i in may_bear(states, config):
         states[i] = _bear(states[i], config)
     return states
 
@@ -254,7 +254,7 @@ def _correct(states: list[GaussianState], pool: Pool, paths: PathTable, config: 
     layout, rows = states[0].layout, pool.rows
     spans = np.array([state.slots.span_m for state in states])
     stretches = np.array([state.slots.heard_from_m for state in states])
-    ready = np.flatnonzero(np.logical_or.reduceat(rows.located.any(axis=1), pool.begin))
+    ready = np.logical_or.reduceat(rows.located.any(axis=1), pool.begin).nonzero()[0]
     if ready.size < len(states):
         evidence, explained = np.zeros(len(states)), np.zeros(paths.length_m.shape)
         if ready.size:
@@ -282,21 +282,20 @@ def _correct(states: list[GaussianState], pool: Pool, paths: PathTable, config: 
         pool.run,
         rows.log_weight,
     )
-    expected = rows.visibility[done.parent]
-    weight = rows.log_weight[done.parent] + done.log_evidence
+    if len(done.parent) > len(rows):
+        rows = rows.take(done.parent)
+    expected, weight = rows.visibility, rows.log_weight + done.log_evidence
     if not layout.shared:
-        weight -= config.virtual_forgetting * rows.log_weight[done.parent]
+        weight -= config.virtual_forgetting * rows.log_weight
         of = done.parent
         weight += shorter_than_sight(done, table.of_rows(of), layout, config, clutter[of])
-    heard = np.any(done.heard[:, :, 1 : 1 + layout.slots] > 0.5, axis=1)
-    rows = Rows(
+    heard = (done.heard[:, :, 1 : 1 + layout.slots] > 0.5).any(axis=1)
+    rows = rows.but(
         log_weight=weight,
         mean=done.mean,
         covariance=done.covariance,
-        located=rows.located[done.parent],
-        present=rows.present[done.parent],
         visibility=done.visibility,
-        support=rows.support[done.parent] + heard,
+        support=rows.support + heard,
     )
     pool = Pool(rows, np.bincount(pool.run[done.parent], minlength=len(states)))
     evidence = pool.log_sum_exp(weight)

@@ -53,6 +53,12 @@ class Near:
     innovation: Array
     ratio: Array
 
+    @property
+    def at(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Where the features are in arrays (R, K, F)."""
+        rows, anchors, _ = self.feature.shape
+        return np.arange(rows)[:, None, None], np.arange(anchors)[:, None], self.feature
+
     def of_rows(self, index: NDArray[np.int64]) -> Near:
         """Those of the rows at ``index``."""
         return Near(*(getattr(self, entry.name)[index] for entry in fields(self)))
@@ -95,9 +101,9 @@ class Hearing:
         paths = paths.by_row()
         density = np.asarray(config.clutter_density if clutter is None else clutter)
         variance = np.maximum(paths.std_m, config.range_std_m) ** 2
-        return cls(
-            paths, variance, np.broadcast_to(density, (rows, layout.anchors))[..., None], layout, config
-        )
+        if density.shape != (rows, layout.anchors):
+            density = np.broadcast_to(density, (rows, layout.anchors))
+        return cls(paths, variance, density[..., None], layout, config)
 
     def of_rows(self, index: NDArray[np.int64]) -> Hearing:
         """The same for the rows at ``index``."""
@@ -136,14 +142,15 @@ class Hearing:
         s = spread[..., None] + self.variance[:, :, None, :]
         at = np.arange(rows)[:, None, None], np.arange(anchors)[:, None], feature
         innovation = self.paths.length_m[:, :, None, :] - prediction.length_m[at][..., None]
-        distance = innovation**2 / s
+        square = innovation**2
         known = real & ((feature <= layout.slots) | (spread < config.pair_gate_std_m**2) | (not layout.pairs))
-        gated = free[:, :, None, :] & (distance < config.gate_sigma**2) & known[..., None]
+        gated = (square < config.gate_sigma**2 * s) & (free[:, :, None, :] & known[..., None])
         ratio = np.zeros(gated.shape)
         fits = np.nonzero(gated)
         own = chance[at]
         odds = (own / ((1.0 - own) * self.clutter))[fits[:-1]]
-        ratio[fits] = odds * (np.exp(-0.5 * distance[fits]) / np.sqrt(2.0 * np.pi * s[fits]))
+        spread_of, square = s[fits], square[fits]
+        ratio[fits] = odds * (np.exp(-0.5 * square / spread_of) / np.sqrt(2.0 * np.pi * spread_of))
         ratio = ratio * azimuth_ratio(mean, covariance, self.paths, layout, feature)
         return Near(feature, real, jacobian, cross.reshape(jacobian.shape), spread, innovation, ratio)
 
@@ -165,19 +172,18 @@ def take(
     rows, size = mean.shape
     column, keep = packed(use.reshape(rows, -1))
     some = np.flatnonzero(keep.any(axis=1))
-    log_density = np.zeros(rows)
     if some.size == 0:
-        return mean, covariance, log_density
+        return mean, covariance, np.zeros(rows)
     row, column, keep = some[:, None], column[some], keep[some]
-    mean, covariance = mean.copy(), covariance.copy()
     jacobian, cross = (each.reshape(rows, -1, size)[row, column] for each in (near.jacobian, near.cross))
-    jacobian[~keep] = cross[~keep] = 0.0
+    jacobian *= keep[..., None]
+    cross *= keep[..., None]
+    innovation = np.where(keep, innovation.reshape(rows, -1)[row, column], 0.0)
+    variance = np.where(keep, variance.reshape(rows, -1)[row, column], 0.5 / np.pi)
+    if some.size == rows:
+        return kalman(mean, covariance, jacobian, innovation, variance, cross=cross)
+    mean, covariance, log_density = mean.copy(), covariance.copy(), np.zeros(rows)
     mean[some], covariance[some], log_density[some] = kalman(
-        mean[some],
-        covariance[some],
-        jacobian,
-        np.where(keep, innovation.reshape(rows, -1)[row, column], 0.0),
-        np.where(keep, variance.reshape(rows, -1)[row, column], 0.5 / np.pi),
-        cross=cross,
+        mean[some], covariance[some], jacobian, innovation, variance, cross=cross
     )
     return mean, covariance, log_density

@@ -13,6 +13,7 @@ __all__ = ["moments", "tidy", "tidy_pool"]
 
 Array = NDArray[np.float64]
 _FEW = 16  # rows of a run, of which all pairs are compared at once
+_BLOCK = 32  # rows that are compared with all others at once
 _INFLATION = 0.02  # of the variance, by an unlikely row
 
 
@@ -32,30 +33,34 @@ def tidy(rows: Rows, config: GaussianConfig) -> Rows:
 def tidy_pool(pool: Pool, config: GaussianConfig) -> Pool:
     """:func:`tidy` of each run of a pool."""
     pool, most = _ordered(pool, config), config.max_hypotheses
-    needy = _with_alike(pool, config) if pool.count.max() > 1 else np.empty(0, dtype=np.int64)
+    needy = _with_alike(pool, config)
     if needy.size:
+        pool = pool.take(np.arange(len(pool.rows)))
         parts = pool.apart()
         for i in needy.tolist():
-            parts[i] = _merge(parts[i], config)
-        pool = _ordered(Pool.joined(parts), config)
+            _merge(parts[i], config)
+        pool = _ordered(pool, config)
     if pool.count.max() > most:
         pool = pool.take(np.flatnonzero(pool.rank < most))
-    pool.rows.log_weight[...] -= pool.log_sum_exp(pool.rows.log_weight)[pool.run]
-    return pool
+    weight = pool.rows.log_weight
+    return Pool(pool.rows.but(log_weight=weight - pool.log_sum_exp(weight)[pool.run]), pool.count)
 
 
 def _ordered(pool: Pool, config: GaussianConfig) -> Pool:
     """The rows of each run, likeliest first, the unlikely dropped."""
     if pool.count.max() == 1:
-        return pool.take(np.arange(len(pool.rows)))
+        return pool
     weight, run = pool.rows.log_weight, pool.run
     order = np.lexsort((-weight, run))
     least = np.maximum.reduceat(weight, pool.begin) - config.prune_nats
-    return pool.take(order[weight[order] > least[run]])
+    order = order[weight[order] > least[run]]
+    return pool.take(order) if len(order) < len(run) or np.any(order[1:] < order[:-1]) else pool
 
 
 def _with_alike(pool: Pool, config: GaussianConfig) -> NDArray[np.int64]:
     """Runs with two rows that :func:`_merge` might make one; those of many rows are not asked."""
+    if pool.count.max() == 1:
+        return np.empty(0, dtype=np.int64)
     rank, run = pool.rank, pool.run
     rank = np.where((pool.count <= _FEW)[run], rank, 0)
     b = np.repeat(np.arange(len(rank)), rank)
@@ -82,34 +87,38 @@ def _std(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)) + 1e-3)
 
 
-def _merge(rows: Rows, config: GaussianConfig) -> Rows:
-    """Rows (descending weight) that differ by less than their own uncertainty become one."""
-    std = _std(rows.covariance)
+def _merge(rows: Rows, config: GaussianConfig) -> None:
+    """Rows (descending weight) that differ by less than their own uncertainty become one, in place.
+
+    Those that are now in another have no weight left.
+    """
+    std, kind = _std(rows.covariance), _kinds(rows)
     free = np.ones(len(rows), dtype=bool)
-    kind = _kinds(rows)
-    kept: list[int] = []
-    for i in range(len(rows)):
-        if not free[i]:
-            continue
-        free[i] = False
-        kept.append(i)
-        group = np.flatnonzero(free & (kind == kind[i]))
-        if group.size == 0:
-            continue
-        limit = _alike(rows.log_weight[group] - rows.log_weight[i], config)[:, None] * np.minimum(
-            std[i], std[group]
-        )
-        group = group[(np.abs(rows.mean[group] - rows.mean[i]) < limit).all(axis=1)]
-        if group.size == 0:
-            continue
-        free[group] = False
-        members = np.concatenate([[i], group])
-        total = log_sum_exp(rows.log_weight[members])
-        weight = np.exp(rows.log_weight[members] - total)
-        rows.log_weight[i] = total
-        rows.mean[i], rows.covariance[i] = moments(weight, rows.mean[members], rows.covariance[members])
-        rows.visibility[i] = np.einsum("r,rkf->kf", weight, rows.visibility[members])
-    return rows.take(kept)
+    for begin in range(0, len(rows), _BLOCK):
+        own = np.arange(begin, min(begin + _BLOCK, len(rows)))
+        first, second = np.nonzero((kind[own, None] == kind) & (np.arange(len(rows)) > own[:, None]) & free)
+        first += begin
+        limit = _alike(rows.log_weight[second] - rows.log_weight[first], config)[:, None]
+        for part in (slice(0, 2), slice(2, None)):  # most are told apart by where the agent is
+            gap = np.abs(rows.mean[second, part] - rows.mean[first, part])
+            near = (gap < limit * np.minimum(std[first, part], std[second, part])).all(axis=1)
+            first, second, limit = first[near], second[near], limit[near]
+        for i in np.unique(first).tolist():
+            group = second[first == i]
+            group = group[free[group]]
+            if free[i] and group.size:
+                free[group] = False
+                _absorb(rows, i, group)
+
+
+def _absorb(rows: Rows, i: int, group: NDArray[np.int64]) -> None:
+    """Merge the rows ``group`` into row ``i``."""
+    members = np.concatenate([[i], group])
+    total = log_sum_exp(rows.log_weight[members])
+    weight = np.exp(rows.log_weight[members] - total)
+    rows.log_weight[group], rows.log_weight[i] = -np.inf, total
+    rows.mean[i], rows.covariance[i] = moments(weight, rows.mean[members], rows.covariance[members])
+    rows.visibility[i] = np.einsum("r,rkf->kf", weight, rows.visibility[members])
 
 
 def _kinds(rows: Rows) -> NDArray[np.int64]:

@@ -31,7 +31,7 @@ def kalman(
     cross = jacobian @ covariance if cross is None else cross
     size = innovation.shape[1]
     s = cross @ jacobian.transpose(0, 2, 1)
-    s[:, np.arange(size), np.arange(size)] += variance
+    np.einsum("rii->ri", s)[...] += variance  # a view of the diagonals
     if shared is not None:
         s += shared[:, :, None] * shared[:, None, :]
     root = np.linalg.cholesky(s)
@@ -40,7 +40,6 @@ def kalman(
     white = np.einsum("rij,rj->ri", whiten, innovation)
     mean = mean + np.einsum("rmn,rm->rn", gain, white)
     covariance = covariance - gain.transpose(0, 2, 1) @ gain
-    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-    log_determinant = 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-    distance = np.sum(white**2, axis=1)
+    log_determinant = 2.0 * np.log(np.einsum("rii->ri", root)).sum(axis=1)
+    distance = np.einsum("ri,ri->r", white, white)
     return mean, covariance, -0.5 * (log_determinant + distance + size * _LOG_2PI)

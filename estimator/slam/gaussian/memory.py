@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.config import GaussianConfig
-from estimator.slam.features import predict_paths, reflect, wall_side
+from estimator.slam.features import plane, predict_paths
 from estimator.slam.gaussian.packing import packed
 from estimator.slam.gaussian.paths import PathTable
 from estimator.slam.gaussian.pool import Pool, active_of
@@ -62,22 +62,25 @@ def widen_spans(span_m: Array, mean: Array, heard: Array, layout: Layout) -> Arr
     layout : Layout
         Positions in the state vectors.
     """
-    span = span_m.copy()
     if not layout.shared:
-        return span
-    agent = mean[:, None, layout.POSITION]
-    wall = mean[:, layout.walls].reshape(len(mean), layout.slots, 2)
-    normal = wall / np.linalg.norm(wall, axis=-1, keepdims=True)
-    side = wall_side(agent, wall)
-    for k in range(layout.anchors):
-        image = reflect(mean[:, None, layout.anchor_xy(k)], wall)
-        other = wall_side(image, wall)
-        gap = np.where(side == other, 1.0, side - other)
-        bounce = agent + (side / gap)[..., None] * (image - agent)
-        along = bounce[..., 1] * normal[..., 0] - bounce[..., 0] * normal[..., 1]
-        hit = heard[:, k, 1 : 1 + layout.slots] > 0.5
-        span[..., 0] = np.where(hit, np.minimum(span[..., 0], along), span[..., 0])
-        span[..., 1] = np.where(hit, np.maximum(span[..., 1], along), span[..., 1])
+        return span_m
+    agent, wall = (
+        plane(mean[:, layout.POSITION])[:, None, None],
+        plane(mean[:, layout.walls].reshape(len(mean), 1, layout.slots, 2)),
+    )
+    devices = mean[:, layout.FIRST_ANCHOR : layout.walls.start].reshape(len(mean), layout.anchors, 1, -1)
+    size = np.abs(wall)
+    towards = (wall / size).conj()
+    image = wall - wall / wall.conj() * plane(devices).conj()  # (B, K, L)
+    here, there = (agent * towards), (image * towards)  # along the normal, and along the wall
+    side, other = here.real - 0.5 * size, there.real - 0.5 * size
+    gap = np.where(side == other, 1.0, side - other)
+    along = here.imag + side / gap * (there.imag - here.imag)
+    hit = heard[:, :, 1 : 1 + layout.slots] > 0.5
+    least = np.min(along, axis=1, initial=np.inf, where=hit)
+    most = np.max(along, axis=1, initial=-np.inf, where=hit)
+    span = np.empty_like(span_m)
+    span[..., 0], span[..., 1] = np.minimum(span_m[..., 0], least), np.maximum(span_m[..., 1], most)
     return span
 
 
@@ -91,10 +94,12 @@ def widen_stretches(heard_from_m: Array, mean: Array, heard: Array, layout: Layo
     mean, heard, layout
         As for :func:`widen_spans`.
     """
-    hit = np.swapaxes(heard[:, :, 1 : 1 + layout.slots] > 0.5, 1, 2)  # (B, L, K)
-    new = np.isnan(heard_from_m[..., 0]) & hit[..., None]
-    use = np.stack([new[..., 0], hit], axis=-1)[..., None]
-    return np.where(use, mean[:, None, None, None, layout.POSITION], heard_from_m)
+    run, anchor, wall = np.nonzero(heard[:, :, 1 : 1 + layout.slots] > 0.5)
+    places, here = heard_from_m.copy(), mean[run, layout.POSITION]
+    first = places[run, wall, anchor, 0]
+    places[run, wall, anchor, 0] = np.where(np.isnan(first), here, first)
+    places[run, wall, anchor, 1] = here
+    return places
 
 
 def remember(
@@ -120,18 +125,19 @@ def remember(
         ``pair_radius_m`` and the windows.
     """
     layout = states[0].layout
-    best = pool.best()
-    pool = Pool(pool.rows.take(best), np.ones(len(states), dtype=np.int64))
+    pool = pool.leaders()
     mean, covariance = pool.rows.mean, pool.rows.covariance
     std = np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1]))
     taken = pool.rows.located[..., None] & (explained > 0.3)
     taken |= _beside_known(pool, active_of(pool, states, layout), paths, paths.valid & ~taken, layout, config)
     run, k, _ = at = np.nonzero(paths.valid)
     now = np.array([state.epoch for state in states])
-    columns = (paths.length_m[at], paths.std_m[at], paths.excess_loss_db[at], ~taken[at])
-    new = np.stack([now[run], k, *columns], axis=1)
+    new = np.empty((run.size, 6))
+    new[:, 0], new[:, 1], new[:, 2], new[:, 3] = now[run], k, paths.length_m[at], paths.std_m[at]
+    new[:, 4], new[:, 5] = paths.excess_loss_db[at], ~taken[at]
     ends = np.searchsorted(run, np.arange(1, len(states) + 1)).tolist()
-    here = np.column_stack([now, mean[:, layout.POSITION], std])
+    here = np.empty((len(states), 4))
+    here[:, 0], here[:, 1:3], here[:, 3] = now, mean[:, layout.POSITION], std
     window = config.birth_window if layout.shared else config.virtual_window
     oldest = (now - max(window, config.start_window)).tolist()
     after = []
@@ -155,17 +161,26 @@ def _beside_known(
     config: GaussianConfig,
 ) -> NDArray[np.bool_]:
     """Which of the paths ``asked`` (B, K, M) lie close to where a feature of a run's row could be heard."""
+    result = np.zeros(asked.shape, dtype=bool)
+    run, anchor, path = np.nonzero(asked)
+    if run.size == 0:
+        return result
     prediction = predict_paths(pool.rows.mean, layout)
     beside = config.pair_radius_m if layout.shared else 2.0 * config.range_std_m
-    gap = np.abs(paths.length_m[:, :, None, :] - prediction.length_m[..., None])  # (B, K, F, M)
-    may = (gap < _FARTHEST_M) & asked[:, :, None, :] & (active & prediction.possible)[..., None]
-    sure = np.any(may & (gap < beside), axis=2)
-    doubt = np.any(may & ~sure[:, :, None, :], axis=-1)
-    if not doubt.any():
-        return np.asarray(sure)
-    feature, real = packed(doubt)
-    jacobian = prediction.derivatives(feature).reshape(len(feature), -1, layout.size)
-    spread = np.sum((jacobian @ pool.rows.covariance) * jacobian, axis=-1).reshape(feature.shape)
-    radius = np.where(real, np.minimum(beside + 2.0 * np.sqrt(spread), _FARTHEST_M), 0.0)
-    gap = np.take_along_axis(gap, feature[..., None], axis=2)
-    return np.asarray(sure | (asked & np.any(gap < radius[..., None], axis=2)))
+    gap = np.abs(paths.length_m[run, anchor, path, None] - prediction.length_m[run, anchor])  # (N, F)
+    may = (gap < _FARTHEST_M) & (active & prediction.possible)[run, anchor]
+    sure = np.asarray((may & (gap < beside)).any(axis=-1))
+    which, feature = np.nonzero(may & ~sure[:, None])
+    if which.size:  # near it perhaps, given how badly some features are known
+        doubt = np.zeros(active.shape, dtype=bool)
+        doubt[run[which], anchor[which], feature] = True
+        column, real = packed(doubt)
+        jacobian = prediction.derivatives(column).reshape(len(column), -1, layout.size)
+        spread = np.einsum("bin,bin->bi", jacobian @ pool.rows.covariance, jacobian).reshape(column.shape)
+        radius = np.zeros(active.shape)
+        at = np.nonzero(real)
+        radius[at[0], at[1], column[at]] = np.minimum(beside + 2.0 * np.sqrt(spread[at]), _FARTHEST_M)
+        close = gap[which, feature] < radius[run[which], anchor[which], feature]
+        sure[which[close]] = True
+    result[run, anchor, path] = sure
+    return result

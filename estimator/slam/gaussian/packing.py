@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import prod
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +25,7 @@ def packed(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_
     keep : ndarray of bool, shape (..., C)
         Which of them are entries.
     """
-    lines = mask.reshape(int(np.prod(mask.shape[:-1])), mask.shape[-1])
+    lines = mask.reshape(prod(mask.shape[:-1]), mask.shape[-1])
     count = lines.sum(axis=1)
     most = int(count.max(initial=0))
     keep = np.arange(most) < count[:, None]

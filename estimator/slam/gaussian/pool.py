@@ -75,18 +75,20 @@ class Pool:
         """The rows of each run."""
         if len(self.count) == 1:
             return [self.rows]
-        columns = [getattr(self.rows, entry.name) for entry in fields(Rows)]
-        begin = self.begin.tolist()
-        return [
-            Rows(*(column[i : i + n] for column in columns))
-            for i, n in zip(begin, self.count.tolist(), strict=True)
-        ]
+        ends = np.cumsum(self.count).tolist()
+        return self.rows.parts(list(zip([0, *ends], ends, strict=False)))
 
     def log_sum_exp(self, values: Array) -> Array:
         """``log(sum(exp(values)))`` (B,) of the rows (R,) of each run."""
         largest = np.maximum.reduceat(values, self.begin)
         total = np.add.reduceat(np.exp(values - largest[self.run]), self.begin)
         return np.asarray(largest + np.log(total))
+
+    def leaders(self) -> Pool:
+        """The likeliest row of each run."""
+        if len(self.rows) == len(self.count):
+            return self
+        return Pool(self.rows.take(self.best()), np.ones(len(self.count), dtype=np.int64))
 
     def best(self) -> NDArray[np.int64]:
         """The likeliest row (B,) of each run."""

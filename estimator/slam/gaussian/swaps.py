@@ -24,15 +24,18 @@ def exchange_odds(ratio: Array, label: NDArray[np.int64]) -> Array:
     label : ndarray of int64, shape (..., F)
         The measurement that each feature has, -1 for none.
     """
-    taken = label >= 0
-    column = np.maximum(label, 0)
-    others = np.take_along_axis(
-        ratio, np.broadcast_to(column[..., None, :], (*label.shape, label.shape[-1])), -1
-    )
-    own = np.where(taken, np.diagonal(others, axis1=-2, axis2=-1), np.inf)
-    odds = others * np.swapaxes(others, -1, -2) / (own[..., :, None] * own[..., None, :])
-    odds[..., np.arange(label.shape[-1]), np.arange(label.shape[-1])] = 0.0
-    return np.asarray(odds)
+    odds = np.zeros((*label.shape, label.shape[-1]))
+    some = np.any(np.count_nonzero(ratio, axis=-1) > 1, axis=-1)  # else no feature fits two
+    if not some.any():
+        return odds
+    ratio, label = ratio[some], label[some]
+    graph, feature = np.arange(len(label))[:, None, None], np.arange(label.shape[-1])
+    others = ratio[graph, feature[:, None], np.maximum(label, 0)[:, None]]  # with the others' paths
+    own = np.where(label >= 0, others[:, feature, feature], np.inf)
+    exchanged = others * others.transpose(0, 2, 1) / (own[:, :, None] * own[:, None])
+    exchanged[:, feature, feature] = 0.0
+    odds[some] = exchanged
+    return odds
 
 
 def with_exchange(share: Array, ratio: Array) -> Array:

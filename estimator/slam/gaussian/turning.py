@@ -19,7 +19,7 @@ from estimator.slam.layout import Layout
 __all__ = ["turned"]
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+Complex = NDArray[np.complex128]
 _MOST_RAD = 0.3  # a wall that moves by more is moved as it is: a tangent says nothing of such an arc
 
 
@@ -48,53 +48,58 @@ def turned(
     """
     if layout.slots < 2:
         return mean, covariance
-    wall = layout.wall(1).start + 2 * np.arange(layout.slots - 1)
-    about = layout.FIRST_ANCHOR + layout.PER_ANCHOR * np.arange(layout.anchors)[:, None]
-    variance = _distance_variance(mean, covariance, wall, about)  # (R, K, L - 1)
-    centre = np.argmin(np.where(located[..., None], variance, np.inf), axis=1)
-    about = about[centre, 0]  # (R, L - 1)
-    line = np.arange(len(mean))[:, None]
+    line, first = np.arange(len(mean))[:, None], layout.wall(1).start
+    device = slice(layout.FIRST_ANCHOR, layout.walls.start, layout.PER_ANCHOR)
 
-    def arm(state: Array) -> NDArray[np.complex128]:
-        """From the anchors to the walls, plane vectors as complex numbers."""
-        x = state[:, wall] - state[line, about]
-        return np.asarray(x + 1j * (state[:, wall + 1] - state[line, about + 1]))
+    def arm(state: Array) -> Complex:
+        """From the anchors to the walls (R, K, L - 1)."""
+        wall, anchor = state[:, first::2] + 1j * state[:, first + 1 :: 2], _rows_of(state, device)
+        return np.asarray(wall[:, None] - anchor[:, :, None])
 
-    old = arm(before)
+    old, new = arm(before), arm(mean)
+    own, anchor = _rows_of(covariance, slice(first, None, 2)), _rows_of(covariance, device)
+    variance = _distance_variance(new, own, anchor, first, device)
+    centre = np.argmin(np.where(located[..., None], variance, np.inf), axis=1)  # (R, L - 1)
+    chosen = line, centre, np.arange(layout.slots - 1)
+    old, new = old[chosen], new[chosen]
     length = np.abs(old)
-    shift = (arm(mean) - old) * old.conj() / length  # along the arm, and across
+    shift = (new - old) * old.conj() / length  # along the arm, and across
     turns = located.any(axis=1, keepdims=True) & (np.abs(shift.imag) < _MOST_RAD * length)
     across = np.where(turns, shift.imag, 0.0)
-    turn = np.exp(1j * across / length)
-    bend = old / length * ((length + shift.real) * (turn - 1.0) - 1j * across)
-    mean = mean.copy()
-    mean[:, wall] += bend.real
-    mean[:, wall + 1] += bend.imag
-    covariance = _turned_rows(covariance, wall, about, turn).transpose(0, 2, 1)
-    return mean, _turned_rows(covariance, wall, about, turn)
+    turn = np.exp(1j * across / length) - 1.0
+    bend = old / length * ((length + shift.real) * turn - 1j * across)
+    mean, covariance = mean.copy(), covariance.copy()
+    mean[:, first::2] += bend.real
+    mean[:, first + 1 :: 2] += bend.imag
+    more = turn[..., None] * (own - anchor[line, centre])
+    covariance[:, first::2] += more.real
+    covariance[:, first + 1 :: 2] += more.imag
+    columns = covariance.transpose(0, 2, 1)  # a view
+    about = device.start + layout.PER_ANCHOR * centre
+    more = _rows_of(columns, slice(first, None, 2)) - (columns[line, about] + 1j * columns[line, about + 1])
+    more *= turn[..., None]
+    columns[:, first::2] += more.real
+    columns[:, first + 1 :: 2] += more.imag
+    return mean, covariance
 
 
-def _distance_variance(mean: Array, covariance: Array, wall: Index, about: Index) -> Array:
-    """Variance (R, K, L) of the distances of the walls (L,) from the anchors (K, 1)."""
-    wall = wall[None]
-    x, y = mean[:, wall] - mean[:, about], mean[:, wall + 1] - mean[:, about + 1]
-    square = x * x + y * y
-
-    def product(i: Index, j: Index) -> Array:
-        mixed = covariance[:, i, j + 1] + covariance[:, i + 1, j]
-        return np.asarray(x * x * covariance[:, i, j] + x * y * mixed + y * y * covariance[:, i + 1, j + 1])
-
-    total = product(wall, wall) - 2.0 * product(wall, about) + product(about, about)
-    return np.asarray(total / square)
+def _rows_of(array: Array, x: slice) -> Complex:
+    """Entries ``x`` of the second axis, and the ones that follow them, as one complex array."""
+    y = slice(x.start + 1, None if x.stop is None else x.stop + 1, x.step)
+    return np.asarray(array[:, x] + 1j * array[:, y])
 
 
-def _turned_rows(covariance: Array, wall: Index, about: Index, turn: NDArray[np.complex128]) -> Array:
-    """The covariance with the walls' rows turned, relative to those of their anchors."""
-    line = np.arange(len(covariance))[:, None]
-    anchor = covariance[line, about] + 1j * covariance[line, about + 1]  # (R, L - 1, n)
-    own = covariance[:, wall] + 1j * covariance[:, wall + 1]
-    more = (turn[..., None] - 1.0) * (own - anchor)
-    result = covariance.copy()
-    result[:, wall] += more.real
-    result[:, wall + 1] += more.imag
-    return result
+def _distance_variance(arm: Complex, own: Complex, anchor: Complex, wall: int, device: slice) -> Array:
+    """Variance (R, K, L) of the lengths of arms, given the walls' and anchors' rows of the covariance."""
+
+    def by(shift: int) -> Complex:
+        """The covariances of the arms with their x or y."""
+        walls, anchors = slice(wall + shift, None, 2), slice(device.start + shift, device.stop, device.step)
+        each = (
+            np.einsum("rll->rl", own[..., walls])[:, None]
+            + np.einsum("rkk->rk", anchor[..., anchors])[..., None]
+        )
+        return np.asarray(each - anchor[..., walls] - own[..., anchors].transpose(0, 2, 1))
+
+    both = arm.real * by(0) + arm.imag * by(1)
+    return np.asarray((both * arm.conj()).real / (arm * arm.conj()).real)

@@ -29,7 +29,7 @@ __all__ = ["Correction", "correct"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_SURE = 0.998  # association probability beyond doubt
+_SURE, _EXCHANGED = 0.998, 0.002  # association probability beyond doubt; odds of an exchange in doubt
 _LIKELY_NATS = 5.0  # from the best row of its run
 
 
@@ -107,33 +107,35 @@ def correct(
     prediction = predict_paths(mean, layout)
     active = active & prediction.possible
     chance = np.where(active, visibility * config.detection_probability, 0.0)
-    free = np.broadcast_to(epoch.paths.valid, (len(mean), *epoch.paths.valid.shape[1:]))
+    free = epoch.paths.valid
+    if len(free) < len(mean):
+        free = np.broadcast_to(free, (len(mean), *free.shape[1:]))
 
     # first pass: what belief propagation does not doubt
     near = epoch.near(
         mean, covariance, prediction, chance, epoch.beside(prediction.length_m, chance, free), free
     )
+    row, anchor, _ = near.at
     sure: Mask = np.asarray(associate(near.ratio).probability > _SURE, dtype=bool)
-    label = np.where(np.any(sure, axis=-1), np.argmax(sure, axis=-1), -1)
-    taken: Mask = np.asarray((label >= 0) & np.all(exchange_odds(near.ratio, label) < 1.0 - _SURE, axis=-1))
+    label = np.where(sure.any(axis=-1), sure.argmax(axis=-1), -1)
+    taken: Mask = np.asarray((label >= 0) & (exchange_odds(near.ratio, label) < _EXCHANGED).all(axis=-1))
     label = np.where(taken, label, -1)  # (R, K, C)
-    used: Mask = np.asarray(np.any(sure & taken[..., None], axis=-2))  # (R, K, M)
-    first = np.take_along_axis(near.innovation, label[..., None], axis=-1)[..., 0]
-    noise = np.take_along_axis(epoch.variance[:, :, None, :], label[..., None], axis=-1)[..., 0]
-    own = np.take_along_axis(chance, near.feature, axis=2)
+    used: Mask = np.asarray((sure & taken[..., None]).any(axis=-2))  # (R, K, M)
+    first = near.innovation[row, anchor, np.arange(label.shape[-1]), label]
+    noise = epoch.variance[row if len(epoch.variance) > 1 else 0, anchor, label]
+    own = chance[near.at]
     prior = np.log(np.maximum(own, 1e-12) / epoch.clutter)
-    log_evidence = np.sum(np.where(taken, prior, 0.0), axis=(1, 2))
     mean, covariance, log_density = take(mean, covariance, near, first, noise, taken)
     heard = np.zeros(chance.shape)
     heard[(*np.nonzero(taken)[:2], near.feature[taken])] = 1.0
-    log_evidence = (
-        log_evidence + log_density + np.sum(np.log1p(-np.where(heard > 0.0, 0.0, chance)), axis=(1, 2))
-    )
+    silence = np.log1p(-chance, where=(chance > 0.0) & (heard == 0.0), out=np.zeros(chance.shape))
+    log_evidence = log_density + np.where(taken, prior, 0.0).sum(axis=(1, 2)) + silence.sum(axis=(1, 2))
 
     # second pass: everything else, predicted again, where a measurement might fit a feature
     free = free & ~used
     left = epoch.fitting(near, free, mean - before) & ~taken
-    doubt = np.flatnonzero(left.any(axis=(1, 2)))
+    torn = np.asarray(left.any(axis=(1, 2)))
+    doubt = torn.nonzero()[0]
     parent, explained = np.arange(len(mean)), used.astype(np.float64)
     if doubt.size:
         could = np.zeros(chance.shape, dtype=bool)
@@ -161,25 +163,28 @@ def correct(
         count = np.ones(len(mean), dtype=np.int64)
         count[doubt] = np.bincount(done.parent, minlength=doubt.size)
         parent = np.repeat(parent, count)
-        again = np.flatnonzero(np.isin(parent, doubt))
-        mean, covariance, log_evidence = mean[parent], covariance[parent], log_evidence[parent]
-        heard, explained = heard[parent], explained[parent]
+        again = torn[parent].nonzero()[0]
+        if len(parent) > len(mean):
+            before, mean, covariance = before[parent], mean[parent], covariance[parent]
+            log_evidence, heard, explained = log_evidence[parent], heard[parent], explained[parent]
+            active, visibility = active[parent], visibility[parent]
+        elif mean is before:  # nothing was beyond doubt
+            mean, covariance = mean.copy(), covariance.copy()
         mean[again], covariance[again] = done.mean, done.covariance
         log_evidence[again] += done.log_evidence
         heard[again] = np.maximum(heard[again], done.heard)
         explained[again] = np.maximum(explained[again], done.explained)
 
     # directions of the first pass's paths (those of the second only helped to associate)
-    paths = epoch.paths.of_rows(parent)
-    mean, covariance, log_direction = take_azimuths(
-        mean, covariance, near.feature[parent], label[parent], paths, layout
-    )
-    log_evidence = log_evidence + log_direction
-    active, visibility = active[parent], visibility[parent]
+    if epoch.paths.azimuth_rad is not None:
+        mean, covariance, log_direction = take_azimuths(
+            mean, covariance, near.feature[parent], label[parent], epoch.paths.of_rows(parent), layout
+        )
+        log_evidence = log_evidence + log_direction
     seen = (
         visibility * (1.0 - config.detection_probability) / (1.0 - visibility * config.detection_probability)
     )
     visibility = np.where(active, heard + (1.0 - heard) * seen, visibility)
     if layout.shared:
-        mean, covariance = turned(before[parent], mean, covariance, active[:, :, 0], layout)
+        mean, covariance = turned(before, mean, covariance, active[:, :, 0], layout)
     return Correction(parent, mean, covariance, visibility, heard, explained, log_evidence)
