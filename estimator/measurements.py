@@ -111,6 +111,11 @@ class AnchorPaths:
                 f"azimuth_std_rad: expected positive numbers, got {self.azimuth_std_rad.min()} rad"
             )
 
+    @classmethod
+    def none(cls) -> AnchorPaths:
+        """Those of an anchor that was not heard."""
+        return cls(np.empty(0), np.empty(0))
+
     @property
     def range_m(self) -> Array:
         """Path lengths ``c * delay_s``, shape (n,), metres."""

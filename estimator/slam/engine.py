@@ -140,8 +140,7 @@ class GaussianEngine:
     def step_many(self, states: Sequence[GaussianState], epochs: Sequence[Epoch]) -> list[GaussianState]:
         """The next epoch of each of several runs; see :func:`estimator.slam.gaussian.filter.step_many`."""
         if not self.method.paths:
-            silent = AnchorPaths(np.empty(0), np.empty(0))
-            epochs = [replace(epoch, paths=(silent,) * len(epoch.paths)) for epoch in epochs]
+            epochs = [replace(epoch, paths=(AnchorPaths.none(),) * len(epoch.paths)) for epoch in epochs]
         return step_many(states, epochs, self.models)
 
     def estimate(self, state: GaussianState) -> Estimate:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from estimator.measurements import AnchorPaths, Epoch
 
 __all__ = ["MOST_PATHS", "without_floods"]
@@ -21,5 +19,5 @@ def without_floods(epoch: Epoch) -> Epoch:
     """
     if all(len(paths) <= MOST_PATHS for paths in epoch.paths):
         return epoch
-    none = AnchorPaths(np.empty(0), np.empty(0))
-    return replace(epoch, paths=tuple(p if len(p) <= MOST_PATHS else none for p in epoch.paths))
+    heard = (paths if len(paths) <= MOST_PATHS else AnchorPaths.none() for paths in epoch.paths)
+    return replace(epoch, paths=tuple(heard))

@@ -21,6 +21,7 @@ from estimator.measurements import GaussianVrp, MeasurementSet
 from estimator.result import SlamResult
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths
+from estimator.slam.floods import without_floods
 from estimator.slam.gaussian.paths import PathTable, stack_paths
 from estimator.slam.gaussian.sweeps import predict_flashes
 from estimator.slam.layout import Layout
@@ -105,7 +106,8 @@ def refine(
     if len(result.epoch) != len(measurements.epochs):
         raise InputError(f"result: expected {len(measurements.epochs)} epochs, got {len(result.epoch)}")
     problem, at, wall_id = _start(measurements, result, model)
-    tables = [stack_paths(epoch, measurements.carrier_hz) for epoch in measurements.epochs]
+    epochs = [without_floods(epoch) for epoch in measurements.epochs]
+    tables = [stack_paths(epoch, measurements.carrier_hz) for epoch in epochs]
     located = result.anchor_valid[-1]
     at = _biased(problem, at, tables)
     spread = np.full((1, 1, 1), config.first_spread_m**2)

@@ -129,9 +129,7 @@ def test_echoes_alone(room):
     assert np.linalg.norm(followed.agent_mean[:, :2] - truth, axis=1).max() < 3.0
     deaf = replace(
         measured,
-        epochs=tuple(
-            replace(epoch, paths=(AnchorPaths(np.empty(0), np.empty(0)),) * 2) for epoch in measured.epochs
-        ),
+        epochs=tuple(replace(epoch, paths=(AnchorPaths.none(),) * 2) for epoch in measured.epochs),
     )
     np.testing.assert_array_equal(run_slam(deaf, "active", "gaussian").agent_mean, followed.agent_mean)
     blind = replace(measured, epochs=tuple(replace(epoch, sweep=()) for epoch in measured.epochs))
@@ -143,7 +141,7 @@ def test_echoes_alone(room):
 def test_an_anchor_that_is_heard_late_is_located_late(room):
     """An anchor silent for thirty epochs starts from a window and ends as good as the other."""
     measured = room.measure(53, epochs=150)
-    silent = AnchorPaths(np.empty(0), np.empty(0))
+    silent = AnchorPaths.none()
     epochs = tuple(
         replace(epoch, paths=(silent, epoch.paths[1])) if epoch.index < 30 else epoch
         for epoch in measured.epochs

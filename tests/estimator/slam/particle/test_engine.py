@@ -214,7 +214,7 @@ def test_the_seed_is_the_only_randomness(room):
 def test_an_anchor_that_is_heard_late_is_located_late(room):
     """An anchor silent for ten epochs is found from a window of later ones."""
     measured = room.measure(7, 40)
-    silent = AnchorPaths(np.empty(0), np.empty(0))
+    silent = AnchorPaths.none()
     epochs = tuple(
         replace(epoch, paths=(silent, epoch.paths[1])) if epoch.index < 10 else epoch
         for epoch in measured.epochs

@@ -10,6 +10,7 @@ import pytest
 
 from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import rotate
+from estimator.measurements import AnchorPaths
 from estimator.slam import run_slam
 from estimator.slam.config import GaussianConfig
 from estimator.slam.run import config_for
@@ -91,6 +92,21 @@ def test_unknown_clock_biases_are_found(room, filtered):
     assert np.sqrt(np.mean(derotated(smoothed, room) ** 2)) < 1.5 * np.sqrt(
         np.mean(derotated(plain, room) ** 2)
     )
+
+
+def test_a_flood_is_passed_over(room, filtered):
+    """Ten thousand paths of an anchor in an epoch are worth as much as none, in the filter and here."""
+    measurements, _ = filtered[0]
+    other = measurements.epochs[40].paths[1]
+    length = np.random.default_rng(3).uniform(1.0, 180.0, 10_000)
+    flood = AnchorPaths(length / SPEED_OF_LIGHT_M_S, np.full(length.size, 0.1 / SPEED_OF_LIGHT_M_S))
+    smoothed = []
+    for paths in (AnchorPaths.none(), flood):
+        epochs = list(measurements.epochs[:80])
+        epochs[40] = replace(epochs[40], paths=(paths, other))
+        part = replace(measurements, epochs=tuple(epochs))
+        smoothed.append(refine(part, run_slam(part)))
+    np.testing.assert_array_equal(smoothed[1].agent_mean, smoothed[0].agent_mean)
 
 
 def test_visibility_is_the_posterior_of_all_histories():
