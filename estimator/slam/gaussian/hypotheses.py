@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,8 +14,9 @@ from estimator.slam.gaussian.state import Rows, log_sum_exp
 __all__ = ["moments", "tidy", "tidy_pool"]
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 _FEW = 16  # rows of a run, of which all pairs are compared at once
-_BLOCK = 32  # rows that are compared with all others at once
+_BLOCK = 32  # rows of the others that are compared with all at once
 _INFLATION = 0.02  # of the variance, by an unlikely row
 
 
@@ -21,8 +24,7 @@ def moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array
     """Mean (n,) and covariance (n, n) of a Gaussian mixture with weights (R,) that sum to one."""
     centre = weight @ mean
     offset = mean - centre
-    spread = np.einsum("r,ri,rj->ij", weight, offset, offset)
-    return centre, np.einsum("r,rij->ij", weight, covariance) + spread
+    return centre, np.tensordot(weight, covariance, 1) + (weight * offset.T) @ offset
 
 
 def tidy(rows: Rows, config: GaussianConfig) -> Rows:
@@ -33,12 +35,10 @@ def tidy(rows: Rows, config: GaussianConfig) -> Rows:
 def tidy_pool(pool: Pool, config: GaussianConfig) -> Pool:
     """:func:`tidy` of each run of a pool."""
     pool, most = _ordered(pool, config), config.max_hypotheses
-    needy = _with_alike(pool, config)
-    if needy.size:
+    first, second = _pairs(pool, config)
+    if first.size:
         pool = pool.take(np.arange(len(pool.rows)))
-        parts = pool.apart()
-        for i in needy.tolist():
-            _merge(parts[i], config)
+        _merge(pool.rows, first, second)
         pool = _ordered(pool, config)
     if pool.count.max() > most:
         pool = pool.take(np.flatnonzero(pool.rank < most))
@@ -57,19 +57,43 @@ def _ordered(pool: Pool, config: GaussianConfig) -> Pool:
     return pool.take(order) if len(order) < len(run) or np.any(order[1:] < order[:-1]) else pool
 
 
-def _with_alike(pool: Pool, config: GaussianConfig) -> NDArray[np.int64]:
-    """Runs with two rows that :func:`_merge` might make one; those of many rows are not asked."""
+def _pairs(pool: Pool, config: GaussianConfig) -> tuple[Index, Index]:
+    """Pairs of rows of one run, the likelier first, that differ by less than their own uncertainty."""
     if pool.count.max() == 1:
-        return np.empty(0, dtype=np.int64)
-    rank, run = pool.rank, pool.run
-    rank = np.where((pool.count <= _FEW)[run], rank, 0)
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    std = _std(pool.rows.covariance)
+    near = [_near(pool.rows, std, a, b, config) for a, b in _candidates(pool)]
+    first, second = (np.concatenate(each) for each in zip(*near, strict=True))
+    return first, second
+
+
+def _candidates(pool: Pool) -> Iterator[tuple[Index, Index]]:
+    """All pairs of rows of one run, those of runs with many rows in pieces."""
+    few = pool.count <= _FEW
+    rank = np.where(few[pool.run], pool.rank, 0)
     b = np.repeat(np.arange(len(rank)), rank)
-    a = b - 1 - np.arange(b.size) + np.repeat(np.cumsum(rank) - rank, rank)  # every row before b in its run
-    mean, covariance = pool.rows.mean, pool.rows.covariance
-    std = _std(covariance)
-    limit = _alike(pool.rows.log_weight[b] - pool.rows.log_weight[a], config)
-    near = np.abs(mean[a] - mean[b]) < limit[:, None] * np.minimum(std[a], std[b])
-    return np.unique(np.concatenate([run[a[near.all(axis=1)]], np.flatnonzero(pool.count > _FEW)]))
+    yield (
+        b - 1 - np.arange(b.size) + np.repeat(np.cumsum(rank) - rank, rank),
+        b,
+    )  # every row before b in its run
+    for i in np.flatnonzero(~few).tolist():
+        for begin in range(0, int(pool.count[i]), _BLOCK):
+            rows = np.arange(begin, min(begin + _BLOCK, pool.count[i]))
+            first, second = np.nonzero(np.arange(pool.count[i]) > rows[:, None])
+            yield pool.begin[i] + rows[first], pool.begin[i] + second
+
+
+def _near(rows: Rows, std: Array, first: Index, second: Index, config: GaussianConfig) -> tuple[Index, Index]:
+    """Those of the pairs with the same walls and anchors whose means are close."""
+    kind = np.concatenate([rows.present, rows.located], axis=1)
+    same = (kind[first] == kind[second]).all(axis=1)
+    first, second = first[same], second[same]
+    for part in (slice(0, 2), slice(2, None)):  # most are told apart by where the agent is
+        limit = _alike(rows.log_weight[second] - rows.log_weight[first], config)[:, None]
+        gap = np.abs(rows.mean[second, part] - rows.mean[first, part])
+        close = (gap < limit * np.minimum(std[first, part], std[second, part])).all(axis=1)
+        first, second = first[close], second[close]
+    return first, second
 
 
 def _alike(log_ratio: Array, config: GaussianConfig) -> Array:
@@ -87,42 +111,22 @@ def _std(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)) + 1e-3)
 
 
-def _merge(rows: Rows, config: GaussianConfig) -> None:
-    """Rows (descending weight) that differ by less than their own uncertainty become one, in place.
+def _merge(rows: Rows, first: Index, second: Index) -> None:
+    """Rows become one with those that they are paired with, in place; these have no weight left.
 
-    Those that are now in another have no weight left.
+    From the likeliest row of each run on, each takes what no other has taken.
     """
-    std, kind = _std(rows.covariance), _kinds(rows)
     free = np.ones(len(rows), dtype=bool)
-    for begin in range(0, len(rows), _BLOCK):
-        own = np.arange(begin, min(begin + _BLOCK, len(rows)))
-        first, second = np.nonzero((kind[own, None] == kind) & (np.arange(len(rows)) > own[:, None]) & free)
-        first += begin
-        limit = _alike(rows.log_weight[second] - rows.log_weight[first], config)[:, None]
-        for part in (slice(0, 2), slice(2, None)):  # most are told apart by where the agent is
-            gap = np.abs(rows.mean[second, part] - rows.mean[first, part])
-            near = (gap < limit * np.minimum(std[first, part], std[second, part])).all(axis=1)
-            first, second, limit = first[near], second[near], limit[near]
-        for i in np.unique(first).tolist():
-            group = second[first == i]
-            group = group[free[group]]
-            if free[i] and group.size:
-                free[group] = False
-                _absorb(rows, i, group)
-
-
-def _absorb(rows: Rows, i: int, group: NDArray[np.int64]) -> None:
-    """Merge the rows ``group`` into row ``i``."""
-    members = np.concatenate([[i], group])
-    total = log_sum_exp(rows.log_weight[members])
-    weight = np.exp(rows.log_weight[members] - total)
-    rows.log_weight[group], rows.log_weight[i] = -np.inf, total
-    rows.mean[i], rows.covariance[i] = moments(weight, rows.mean[members], rows.covariance[members])
-    rows.visibility[i] = np.einsum("r,rkf->kf", weight, rows.visibility[members])
-
-
-def _kinds(rows: Rows) -> NDArray[np.int64]:
-    """A number for each row, the same for rows with the same walls and anchors."""
-    seen: dict[bytes, int] = {}
-    has = np.concatenate([rows.present, rows.located], axis=1)
-    return np.array([seen.setdefault(row.tobytes(), len(seen)) for row in has])
+    order = np.argsort(first, kind="stable")
+    heads, begin = np.unique(first[order], return_index=True)
+    for i, group in zip(heads.tolist(), np.split(second[order], begin[1:]), strict=True):
+        group = group[free[group]]
+        if not free[i] or group.size == 0:
+            continue
+        free[group] = False
+        members = np.concatenate([[i], group])
+        total = log_sum_exp(rows.log_weight[members])
+        weight = np.exp(rows.log_weight[members] - total)
+        rows.log_weight[group], rows.log_weight[i] = -np.inf, total
+        rows.mean[i], rows.covariance[i] = moments(weight, rows.mean[members], rows.covariance[members])
+        rows.visibility[i] = np.tensordot(weight, rows.visibility[members], 1)

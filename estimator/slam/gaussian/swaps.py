@@ -47,6 +47,8 @@ def with_exchange(share: Array, ratio: Array) -> Array:
         return share
     label = np.where(share.max(axis=-1, initial=0.0) > 0.5, np.argmax(share, axis=-1), -1)
     odds = exchange_odds(ratio, label)
+    if not odds.any():
+        return share
     partner = np.argmax(odds, axis=-1)
     chance = np.take_along_axis(odds, partner[..., None], axis=-1)[..., 0]
     chance = chance / (1.0 + chance)
