@@ -23,7 +23,9 @@ __all__ = [
     "Features",
     "Prediction",
     "every_feature",
+    "lines_of",
     "plane",
+    "plane_side",
     "predict_azimuths",
     "predict_paths",
     "reflect",
@@ -67,7 +69,7 @@ class Prediction:
     def derivatives(self, feature: Features) -> Array:
         """Derivatives (R, K, C, n) of the lengths of features ``feature`` (R, K, C)."""
         layout = self.room.layout
-        length = self.flat_m[(*_lines(feature), feature)]
+        length = self.flat_m[(*lines_of(feature), feature)]
         jacobian = self.room.pull_back(self.room.offset_of(feature) / length, feature)
         for k in range(layout.anchors):
             jacobian[:, k, :, layout.height2(k)] = 0.5 / length[:, k]
@@ -75,7 +77,7 @@ class Prediction:
         return jacobian
 
 
-def _lines(feature: Features) -> tuple[Features, Features]:
+def lines_of(feature: Features) -> tuple[Features, Features]:
     """Row and anchor of features (R, K, C), to be indexed with."""
     rows, anchors, _ = feature.shape
     return np.arange(rows)[:, None, None], np.arange(anchors)[:, None]
@@ -106,6 +108,11 @@ def wall_side(point: Array, vrp: Array) -> Array:
 def plane(vectors: Array) -> Complex:
     """Plane vectors (..., 2) as complex numbers (...)."""
     return np.asarray(vectors[..., 0] + 1j * vectors[..., 1])
+
+
+def plane_side(point: Complex, towards: Complex, half: Array) -> Array:
+    """:func:`wall_side` of walls, given conjugate directions ``towards`` and half the VRPs' lengths."""
+    return np.asarray((point * towards).real - half)
 
 
 def _vectors(plane: Complex) -> Array:
@@ -176,7 +183,7 @@ class Room:
 
     def offset_of(self, feature: Features) -> Complex:
         """From the sources of the features ``feature`` (R, K, C) to the agent, (R, K, C)."""
-        return np.asarray(self._agent - self._source[(*_lines(feature), feature)])
+        return np.asarray(self._agent - self._source[(*lines_of(feature), feature)])
 
     def pull_back(self, covector: Complex, feature: Features) -> Array:
         """Derivatives (R, K, C, n) of something of features ``feature`` (R, K, C).
@@ -184,7 +191,7 @@ class Room:
         It depends on agent minus source by ``covector`` (R, K, C).
         """
         layout, bounces = self.layout, _bounces(self.layout.slots)
-        row, anchor = _lines(feature)
+        row, anchor = lines_of(feature)
         by_source = covector
         by_wall = np.zeros((*feature.shape, layout.slots), dtype=np.complex128)
         lines = np.arange(feature.size).reshape(feature.shape) * layout.slots
@@ -212,14 +219,10 @@ class Room:
         rows, anchors = self._anchor.shape
         length = np.abs(self._wall)
         towards, half = (self._wall / length).conj(), 0.5 * length
-
-        def side(point: Complex, towards: Complex, half: Array) -> Array:
-            return np.asarray((point * towards).real - half)
-
-        agent = side(self._agent, towards, half)  # (R, 1, L)
-        anchor = side(self._anchor[:, :, None], towards, half)  # (R, K, L)
-        image = side(self._image[..., None], towards[:, :, None], half[:, :, None])  # (R, K, L, M)
-        double = side(self._double, towards[..., None], half[..., None])
+        agent = plane_side(self._agent, towards, half)  # (R, 1, L)
+        anchor = plane_side(self._anchor[:, :, None], towards, half)  # (R, K, L)
+        image = plane_side(self._image[..., None], towards[:, :, None], half[:, :, None])  # (R, K, L, M)
+        double = plane_side(self._double, towards[..., None], half[..., None])
         near, before = agent[:, :, None], agent[..., None]
         total = near + image
         fraction = near / np.where(np.abs(total) < 1e-9, 1e-9, total)  # of the way back to wall m

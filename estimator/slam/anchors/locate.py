@@ -204,7 +204,7 @@ def _doubtful(state: GaussianState, k: int, config: GaussianConfig) -> bool:
     place = state.layout.anchor_xy(k)
     if np.trace(state.rows.covariance[state.rows.best, place, place]) < _KNOWN_M2:
         return False
-    count = np.count_nonzero((state.heard[:, 1] == k) & (state.heard[:, 5] == 1.0))
+    count = np.count_nonzero(state.loose[:, 1] == k)
     expected = config.clutter_mean * len(state.trail)
     if count <= expected + 4.0 * np.sqrt(expected) + 0.5 * len(state.trail):
         return False

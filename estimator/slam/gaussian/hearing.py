@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.config import GaussianConfig
-from estimator.slam.features import Prediction
+from estimator.slam.features import Prediction, lines_of
 from estimator.slam.gaussian.azimuths import azimuth_ratio
 from estimator.slam.gaussian.kalman import kalman
 from estimator.slam.gaussian.packing import packed
@@ -56,8 +56,7 @@ class Near:
     @property
     def at(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """Where the features are in arrays (R, K, F)."""
-        rows, anchors, _ = self.feature.shape
-        return np.arange(rows)[:, None, None], np.arange(anchors)[:, None], self.feature
+        return *lines_of(self.feature), self.feature
 
     def of_rows(self, index: NDArray[np.int64]) -> Near:
         """Those of the rows at ``index``."""
@@ -101,9 +100,8 @@ class Hearing:
         paths = paths.by_row()
         density = np.asarray(config.clutter_density if clutter is None else clutter)
         variance = np.maximum(paths.std_m, config.range_std_m) ** 2
-        if density.shape != (rows, layout.anchors):
-            density = np.broadcast_to(density, (rows, layout.anchors))
-        return cls(paths, variance, density[..., None], layout, config)
+        density = np.broadcast_to(density, (rows, layout.anchors))[..., None]
+        return cls(paths, variance, density, layout, config)
 
     def of_rows(self, index: NDArray[np.int64]) -> Hearing:
         """The same for the rows at ``index``."""
@@ -140,7 +138,7 @@ class Hearing:
         cross = flat @ covariance
         spread = np.einsum("rin,rin->ri", cross, flat).reshape(feature.shape)
         s = spread[..., None] + self.variance[:, :, None, :]
-        at = np.arange(rows)[:, None, None], np.arange(anchors)[:, None], feature
+        at = *lines_of(feature), feature
         innovation = self.paths.length_m[:, :, None, :] - prediction.length_m[at][..., None]
         square = innovation**2
         known = real & ((feature <= layout.slots) | (spread < config.pair_gate_std_m**2) | (not layout.pairs))

@@ -72,10 +72,8 @@ def _candidates(pool: Pool) -> Iterator[tuple[Index, Index]]:
     few = pool.count <= _FEW
     rank = np.where(few[pool.run], pool.rank, 0)
     b = np.repeat(np.arange(len(rank)), rank)
-    yield (
-        b - 1 - np.arange(b.size) + np.repeat(np.cumsum(rank) - rank, rank),
-        b,
-    )  # every row before b in its run
+    before = b - 1 - np.arange(b.size) + np.repeat(np.cumsum(rank) - rank, rank)  # each row of its run
+    yield before, b
     for i in np.flatnonzero(~few).tolist():
         for begin in range(0, int(pool.count[i]), _BLOCK):
             rows = np.arange(begin, min(begin + _BLOCK, pool.count[i]))

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.config import GaussianConfig
-from estimator.slam.features import Complex, plane, reflect
+from estimator.slam.features import Complex, plane, plane_side, reflect
 from estimator.slam.gaussian.state import GaussianState
 
 __all__ = ["multiple_lengths", "redundant_walls"]
@@ -69,7 +69,7 @@ def multiple_lengths(agent: Array, device: Array, walls: Array) -> Array:
 
     def side(point: Complex, wall: NDArray[np.int64]) -> Array:
         """Signed distance from walls, negative on RP's side."""
-        return np.asarray((point * towards[..., None, wall]).real - 0.5 * size[..., None, wall])
+        return plane_side(point, towards[..., None, wall], 0.5 * size[..., None, wall])
 
     lengths = [np.empty((*agent.shape[:-1], 0))]
     for order in _ORDERS:
@@ -78,9 +78,8 @@ def multiple_lengths(agent: Array, device: Array, walls: Array) -> Array:
         for wall in sequence.T:
             image.append(vrp[..., None, wall] - turn[..., None, wall] * image[-1].conj())
         point, possible = place, np.ones((*agent.shape[:-1], len(sequence)), dtype=bool)
-        for wall, source in zip(
-            sequence.T[::-1], image[:0:-1], strict=True
-        ):  # from the agent back to the anchor
+        # from the agent back to the anchor
+        for wall, source in zip(sequence.T[::-1], image[:0:-1], strict=True):
             here, there = side(point, wall), side(source, wall)
             possible &= here * there < 0.0
             point = point + here / np.where(here == there, np.inf, here - there) * (source - point)

@@ -14,12 +14,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.slam.features import Complex
 from estimator.slam.layout import Layout
 
 __all__ = ["turned"]
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 _MOST_RAD = 0.3  # a wall that moves by more is moved as it is: a tangent says nothing of such an arc
 
 

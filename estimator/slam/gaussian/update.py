@@ -107,9 +107,7 @@ def correct(
     prediction = predict_paths(mean, layout)
     active = active & prediction.possible
     chance = np.where(active, visibility * config.detection_probability, 0.0)
-    free = epoch.paths.valid
-    if len(free) < len(mean):
-        free = np.broadcast_to(free, (len(mean), *free.shape[1:]))
+    free = np.broadcast_to(epoch.paths.valid, (len(mean), *epoch.paths.valid.shape[1:]))
 
     # first pass: what belief propagation does not doubt
     near = epoch.near(
@@ -122,7 +120,7 @@ def correct(
     label = np.where(taken, label, -1)  # (R, K, C)
     used: Mask = np.asarray((sure & taken[..., None]).any(axis=-2))  # (R, K, M)
     first = near.innovation[row, anchor, np.arange(label.shape[-1]), label]
-    noise = epoch.variance[row if len(epoch.variance) > 1 else 0, anchor, label]
+    noise = np.broadcast_to(epoch.variance, free.shape)[row, anchor, label]
     own = chance[near.at]
     prior = np.log(np.maximum(own, 1e-12) / epoch.clutter)
     mean, covariance, log_density = take(mean, covariance, near, first, noise, taken)
@@ -176,11 +174,11 @@ def correct(
         explained[again] = np.maximum(explained[again], done.explained)
 
     # directions of the first pass's paths (those of the second only helped to associate)
-    if epoch.paths.azimuth_rad is not None:
-        mean, covariance, log_direction = take_azimuths(
-            mean, covariance, near.feature[parent], label[parent], epoch.paths.of_rows(parent), layout
-        )
-        log_evidence = log_evidence + log_direction
+    paths = epoch.paths.of_rows(parent)
+    mean, covariance, log_direction = take_azimuths(
+        mean, covariance, near.feature[parent], label[parent], paths, layout
+    )
+    log_evidence = log_evidence + log_direction
     seen = (
         visibility * (1.0 - config.detection_probability) / (1.0 - visibility * config.detection_probability)
     )
