@@ -1,5 +1,6 @@
 # make demo      trace a room, walk through it, map it: everything is set up first
 # make test      run the tests, README snippets included
+# make coverage  the same, and which lines of the estimator they ran
 # make lint      style, types, directions of imports, known faults;  make format mends the style
 # make setup     only the environment: .venv, pinned and checked by hash
 # make soak      the long tests: Monte Carlo and traced acceptance, kills, broken bodies, load (half an hour)
@@ -8,22 +9,27 @@
 VENV   := .venv
 BIN    := $(VENV)/bin
 PYTHON ?=
+WORKERS ?= 2
+PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS)
 PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 # PYTHONNOUSERSITE: what a user has installed elsewhere must not leak in.
 export PYTHONNOUSERSITE := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test soak lint format setup requirements clean
+.PHONY: help demo test coverage soak lint format setup requirements clean
 
 help:
-	@sed -n 's/^# //p' Makefile | head -6
+	@sed -n 's/^# //p' Makefile | head -7
 
 demo: $(VENV)/.run
 	@$(BIN)/hapslam demo $(ARGS)
 
 test: $(VENV)/.dev
-	@$(BIN)/python -m pytest --cov --cov-report=term:skip-covered $(ARGS)
+	@$(PYTEST) $(ARGS)
+
+coverage: $(VENV)/.dev
+	@$(PYTEST) --cov --cov-report=term:skip-covered $(ARGS)
 
 soak: $(VENV)/.dev
 	@HAPSLAM_TEST_KILLS=200 HAPSLAM_TEST_RESTARTS=10 HAPSLAM_TEST_BODIES=2000 HAPSLAM_TEST_EXAMPLES=100 \

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import pickle
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,6 +47,32 @@ class Run:
     err: str
 
 
+Once = Callable[[str, Callable[[Path], Any]], tuple[Path, Any]]
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
+    """Makes what is costly once for all workers of the run: a folder, and what its maker returned.
+
+    Whoever asks first makes it, the others wait and read it; nobody may change it.
+    """
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def get(name: str, make: Callable[[Path], Any]) -> tuple[Path, Any]:
+        folder, returned = shared / "once" / name, shared / "once" / f"{name}.pickle"
+        folder.parent.mkdir(exist_ok=True)
+        with (shared / "once" / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not returned.exists():
+                shutil.rmtree(folder, ignore_errors=True)  # half made, by a maker that failed
+                folder.mkdir()
+                returned.write_bytes(pickle.dumps(make(folder)))
+        return folder, pickle.loads(returned.read_bytes())
+
+    return get
+
+
 @pytest.fixture(scope="session")
 def hapslam() -> Callable[..., Run]:
     """Runs ``hapslam ARGUMENTS`` in a process of its own, as a user does."""
@@ -63,12 +93,15 @@ def hapslam() -> Callable[..., Run]:
 
 
 @pytest.fixture(scope="session")
-def demo(hapslam: Callable[..., Run], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
+def demo(hapslam: Callable[..., Run], once: Once) -> tuple[Path, Run]:
     """The folder of `hapslam demo --seed 1 --json`, and what it printed."""
-    out = tmp_path_factory.mktemp("demo") / "out"
-    run = hapslam("demo", "--seed", 1, "--out", out, "--json")
+
+    def make(folder: Path) -> Run:
+        return hapslam("demo", "--seed", 1, "--out", folder / "out", "--json")
+
+    folder, run = once("demo", make)
     assert run.status == 0, run.err
-    return out, run
+    return folder / "out", run
 
 
 @pytest.fixture

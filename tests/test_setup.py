@@ -80,7 +80,7 @@ def test_a_named_python_is_taken_or_refused(tmp_path: Path) -> None:
     assert "too old" in refused.stderr
 
 
-@pytest.mark.parametrize("target", ["demo", "test", "lint", "format"])
+@pytest.mark.parametrize("target", ["demo", "test", "coverage", "lint", "format"])
 def test_every_target_sets_up_first(target: str, tmp_path: Path) -> None:
     """In a fresh clone each target begins with the environment, from pinned requirements alone."""
     for name in ("Makefile", "pyproject.toml", "requirements"):
