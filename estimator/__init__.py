@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from estimator.result import SlamResult, load_result, save_result
     from estimator.sensing.flash import find_flashes, flash_walls
     from estimator.sensing.linefit import fit_wall
-    from estimator.slam import GaussianConfig, ParticleConfig, run_many, run_slam
+    from estimator.slam import GaussianConfig, ParticleConfig, run_slam
     from estimator.waveform import OfdmGrid
 
 __all__ = [
@@ -75,7 +75,6 @@ __all__ = [
     "open_dataset",
     "ospa",
     "root_mean_square_error",
-    "run_many",
     "run_slam",
     "save_measurements",
     "save_result",
@@ -108,7 +107,7 @@ _HOMES = {
     "result": ("SlamResult", "load_result", "save_result"),
     "sensing.flash": ("find_flashes", "flash_walls"),
     "sensing.linefit": ("fit_wall",),
-    "slam": ("GaussianConfig", "ParticleConfig", "run_many", "run_slam"),
+    "slam": ("GaussianConfig", "ParticleConfig", "run_slam"),
     "waveform": ("OfdmGrid",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -53,7 +53,7 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
 
     @app.command(
         epilog=_examples(
-            "reproduce fig13 --runs 100 --jobs 2 --out figures --json",
+            "reproduce fig13 --runs 100 --out figures --json",
             "reproduce fig13 --methods hybrid,hybrid+aoa --engine gaussian --out figures",
             "reproduce all --out figures",
         )
@@ -73,7 +73,9 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         ] = None,
         particles: Annotated[int, typer.Option(min=1, help="Particles of the particle engine.")] = 100_000,
         scene: Annotated[str, typer.Option(help="Scene of the SLAM experiments.")] = "l-room",
-        jobs: Annotated[int, typer.Option(min=1, help="Local processes.")] = 1,
+        jobs: Annotated[
+            int | None, typer.Option(min=1, help="Local processes; by default one for each core.")
+        ] = None,
         scheduler: Annotated[
             str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, instead of local processes.")
         ] = None,
@@ -81,8 +83,8 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         quiet: Quiet = False,
     ) -> None:
         """Recompute figures of the paper: picture, numbers, and a report beside its values and the limit."""
+        from estimator.executors import available_cores, open_workers
         from estimator.experiments import catalogue
-        from estimator.experiments.montecarlo import open_executor
         from estimator.experiments.report import as_text, require_places, write_report
         from service.progress import Reporter
 
@@ -91,7 +93,8 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         chosen = [name.strip() for name in methods.split(",") if name.strip()]
         room, reporter = load_room(scene), Reporter(quiet)
         summaries: dict[str, Any] = {}
-        with open_executor(jobs, scheduler) as executor:
+        processes = jobs or (available_cores() if scheduler is None else 1)
+        with open_workers(processes, scheduler) as workers:
             for name in names:
                 slam = figure != "all" or bool(FIGURES[name].methods)  # of all, some run no SLAM
                 with reporter.stage(name) as advance:
@@ -102,7 +105,7 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
                         chosen if slam else (),
                         engine if slam else None,
                         particles,
-                        executor,
+                        workers,
                         advance,
                     )
                     report = catalogue.reproduce(name, request)

@@ -5,5 +5,5 @@
 
 :mod:`~estimator.experiments.catalogue` lists the figures, each of which is a module of its own;
 :mod:`~estimator.experiments.room` and :mod:`~estimator.experiments.cases` say what is simulated,
-:mod:`~estimator.experiments.montecarlo` runs it, :mod:`~estimator.experiments.report` writes it down.
+:mod:`~estimator.experiments.runs` runs and judges it, :mod:`~estimator.experiments.report` writes it down.
 """

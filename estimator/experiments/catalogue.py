@@ -6,13 +6,12 @@ This module is light: the command line lists the figures without loading what co
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from estimator.errors import ConfigurationError
-from estimator.experiments.montecarlo import Progress, SerialExecutor, map_runs
+from estimator.executors import Progress, Workers
 
 if TYPE_CHECKING:
     from estimator.experiments.report import Report
@@ -75,10 +74,10 @@ class Request:
         The engine; by default those that can run the method.
     particles : int
         Particles of the ``particle`` engine.
-    executor : Executor
-        Where runs happen.
+    workers : Workers
+        Where runs happen; by default in this process.
     progress : callable, optional
-        Called with (tasks done, tasks in all): runs, or batches of runs.
+        Called with (tasks done, tasks in all).
     """
 
     room: Room
@@ -87,12 +86,12 @@ class Request:
     methods: Sequence[str] = ()
     engine: str | None = None
     particles: int = 100_000
-    executor: Executor = field(default_factory=SerialExecutor)
+    workers: Workers = field(default_factory=Workers)
     progress: Progress | None = None
 
     def map(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
-        """Results of tasks by the executor, in order; see :func:`map_runs`."""
-        return map_runs(function, tasks, self.executor, self.progress)
+        """Results of tasks, in their order; see :meth:`estimator.executors.Workers.map`."""
+        return self.workers.map(function, tasks, self.progress)
 
 
 def wanted(name: str) -> list[str]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from estimator.experiments.cases import Case, cases_of, limit_of
 from estimator.experiments.catalogue import Entry, Request
 from estimator.experiments.report import Report, Row, figure_text
-from estimator.experiments.runs import Run, batches, perform_together
+from estimator.experiments.runs import Run, Score, perform
 from estimator.experiments.summary import limit_curves, score_curves, summarise
 from estimator.plot_style import DASHES, MUTED, STYLE, colour_of, logarithmic, tidy
 
@@ -49,7 +49,7 @@ def reproduce(name: str, entry: Entry, request: Request) -> Report:
     room, runs = request.room, request.runs or entry.runs
     cases = cases_of(request.methods or entry.methods, request.engine)
     tasks = [Run(room, case, request.seed + i, request.particles) for case in cases for i in range(runs)]
-    scores = [score for together in request.map(perform_together, batches(tasks)) for score in together]
+    scores: list[Score] = request.map(perform, tasks)
     summary: dict[str, Any] = {}
     curves: dict[str, Curves] = {}
     limits: dict[str, Curves] = {}

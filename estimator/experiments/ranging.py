@@ -37,7 +37,7 @@ def range_errors(request: Request, distance_m: float, snr_db: Sequence[float], r
     Parameters
     ----------
     request : Request
-        Seed and executor. Run ``i`` has the same noise at every SNR, that of ``seed + i``.
+        Seed and workers. Run ``i`` has the same noise at every SNR, that of ``seed + i``.
     distance_m : float
         True distance, metres.
     snr_db : sequence of float

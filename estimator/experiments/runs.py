@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,24 +17,12 @@ from estimator.metrics import best_rotation, derotated, distances, match, nees, 
 from estimator.result import SlamResult
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.run import config_for, run_slam
-from estimator.slam.run_many import run_many
 
-__all__ = [
-    "Run",
-    "Score",
-    "batches",
-    "perform",
-    "perform_together",
-    "score",
-    "slam_of",
-    "unmirrored",
-    "watch",
-]
+__all__ = ["Run", "Score", "perform", "score", "slam_of", "unmirrored", "watch"]
 
 Array = NDArray[np.float64]
 
 _JUDGE = EvaluationConfig()
-_TOGETHER = 25
 _KNOWN_M2 = 1e-12  # variance of a position that is known by definition
 
 
@@ -116,35 +102,6 @@ def _measured(run: Run) -> MeasurementSet:
 def perform(run: Run) -> Score:
     """Run and judge; raises as :func:`watch`."""
     return watch(run)[1]
-
-
-def batches(runs: Sequence[Run]) -> list[tuple[Run, ...]]:
-    """The runs in their order, twenty-five of one case with the ``gaussian`` engine together.
-
-    However many processes share them, so that results are the same bits.
-    """
-    result: list[tuple[Run, ...]] = []
-    for _, alike in groupby(runs, key=lambda run: (run.case.key, id(run.room))):
-        group = tuple(alike)
-        size = _TOGETHER if group[0].case.engine == "gaussian" else 1
-        result += [group[i : i + size] for i in range(0, len(group), size)]
-    return result
-
-
-def perform_together(runs: Sequence[Run]) -> list[Score]:
-    """Run a batch and judge each run, its share of the time in ``seconds``; raises as :func:`watch`."""
-    if len(runs) == 1:
-        return [perform(runs[0])]
-    case = runs[0].case
-    begin = time.process_time()
-    try:
-        measured = [_measured(run) for run in runs]
-        results = run_many(measured, case.method, [run.seed for run in runs])
-    except HapslamError as error:
-        error.add_note(f"in the runs of {case.key} with seeds {runs[0].seed} to {runs[-1].seed}")
-        raise
-    seconds = (time.process_time() - begin) / len(runs)
-    return [_judged(result, run, seconds) for result, run in zip(results, runs, strict=True)]
 
 
 def watch(run: Run) -> tuple[SlamResult, Score]:

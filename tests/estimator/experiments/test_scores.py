@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimator.executors import Workers
 from estimator.experiments.cases import Case, limit_of
-from estimator.experiments.montecarlo import SerialExecutor, map_runs
 from estimator.experiments.room import Room
 from estimator.experiments.runs import Run, Score, perform, score, slam_of, unmirrored
 from estimator.experiments.summary import (
@@ -182,7 +182,7 @@ LONG, SHORT = (10, 50), (3, 30)  # runs and steps; gross faults show in the shor
 def _faults(room: Room, runs: int) -> list[str]:
     """Why the runs are not those of a right filter; tolerances are four Monte-Carlo standard errors."""
     tasks = [Run(room, HYBRID, 100 + i, 10) for i in range(runs)]
-    scores = map_runs(perform, tasks, SerialExecutor())
+    scores = Workers().map(perform, tasks)
     limit = limit_of(room, HYBRID)
     assert limit is not None
     numbers: dict[str, Any] = summarise(scores, limit, room)
