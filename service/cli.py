@@ -78,7 +78,7 @@ def _root(
 @app.command(epilog=_examples("doctor", "doctor --json"))
 def doctor(as_json: Json = False) -> None:
     """Look whether everything works here; every problem comes with its remedy."""
-    from raytrace.backend import Check, diagnose
+    from raytrace.propagation.backend import Check, diagnose
     from service.doctor import as_json as findings_json
     from service.doctor import machine_findings, print_findings
 
@@ -102,8 +102,8 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Trace a room while an agent walks through it, map it blindly, compare with the truth."""
-    from raytrace.floorplan import load_floorplan
-    from raytrace.generate import generate
+    from raytrace.dataset.generate import generate
+    from raytrace.plan.floorplan import load_floorplan
     from service.demo import claim_folder, new_folder, run_demo
     from service.report import print_evaluation
 
@@ -186,7 +186,7 @@ def plot(
 def _room(scene: str) -> Room:
     """The room of a scene, as geometry alone."""
     from estimator.experiments.room import make_room
-    from raytrace.floorplan import load_floorplan
+    from raytrace.plan.floorplan import load_floorplan
 
     plan = load_floorplan(scene)
     step_s = plan.agent.step_m / plan.agent.speed_m_s

@@ -78,11 +78,11 @@ def trace(
 
     If the plan has several agents, the folder holds a dataset of each.
     """
-    from raytrace.agents import generate_agents
-    from raytrace.floorplan import load_floorplan
-    from raytrace.generate import generate_part
-    from raytrace.output import Output
-    from raytrace.workers import workers
+    from raytrace.dataset.agents import generate_agents
+    from raytrace.dataset.generate import generate_part
+    from raytrace.dataset.output import Output
+    from raytrace.dataset.workers import workers
+    from raytrace.plan.floorplan import load_floorplan
 
     plan = load_floorplan(scene)
     output = Output(shard_epochs, content, licence)
@@ -102,8 +102,8 @@ def campaign(
     quiet: Quiet = False,
 ) -> None:
     """Trace many scenes, set-ups and seeds; what was broken off goes on."""
-    from raytrace.campaign import run_campaign
-    from raytrace.workers import workers
+    from raytrace.dataset.campaign import run_campaign
+    from raytrace.dataset.workers import workers
 
     with workers(jobs, scheduler) as crew, Reporter(quiet).stage("campaign") as advance:
         for dataset in run_campaign(file, out, advance, crew):
@@ -118,8 +118,8 @@ def append(
     quiet: Quiet = False,
 ) -> None:
     """Let the agent walk on along its way-points; what is there stays."""
-    from raytrace.append import append as run
-    from raytrace.workers import workers
+    from raytrace.dataset.append import append as run
+    from raytrace.dataset.workers import workers
 
     with workers(jobs, scheduler) as crew, Reporter(quiet).stage("append") as advance:
         run(dataset, epochs, advance, crew)
@@ -131,8 +131,8 @@ def merge(
     out: Out,
 ) -> None:
     """Put parts together that were traced apart."""
-    from raytrace.floorplan import load_floorplan
-    from raytrace.merge import merge as run
+    from raytrace.dataset.merge import merge as run
+    from raytrace.plan.floorplan import load_floorplan
 
     run(load_floorplan(scene), parts, out)
 
@@ -140,7 +140,7 @@ def merge(
 def verify(dataset: Dataset, as_json: Json = False, quiet: Quiet = False) -> None:
     """Compare the paths in the files with the image method; status 1 if one is lost or extra."""
     from estimator.dataset import open_dataset
-    from raytrace.verify import verify as run
+    from raytrace.dataset.verify import verify as run
 
     with Reporter(quiet).stage("verify") as advance:
         result = run(open_dataset(dataset), advance)
@@ -182,9 +182,9 @@ def export(
 ) -> None:
     """Write a dataset for other software."""
     from estimator.dataset import open_dataset
-    from raytrace.export_deepmimo import export_deepmimo
-    from raytrace.export_mat import export_mat
-    from raytrace.journal import require_place
+    from raytrace.dataset.export_deepmimo import export_deepmimo
+    from raytrace.dataset.export_mat import export_mat
+    from raytrace.dataset.journal import require_place
 
     if to not in _LAYOUTS:
         raise ConfigurationError(f"--to: expected one of {', '.join(_LAYOUTS)}, got {to!r}")

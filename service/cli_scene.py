@@ -41,8 +41,8 @@ def _say(text: str) -> None:
 @_scene.command(epilog=_examples("check l-room", "check my-plan.toml --json"))
 def check(scene: Scene, as_json: Json = False) -> None:
     """Check a floor plan and say what it amounts to."""
-    from raytrace.floorplan import load_floorplan
-    from raytrace.plan_files import floorplan_summary
+    from raytrace.plan.files import floorplan_summary
+    from raytrace.plan.floorplan import load_floorplan
 
     summary = floorplan_summary(load_floorplan(scene))
     if as_json:
@@ -74,8 +74,8 @@ def show(
 ) -> None:
     """Draw a floor plan; with the power everywhere, or with the paths at an epoch."""
     from estimator.errors import ConfigurationError
-    from raytrace.floorplan import load_floorplan
-    from raytrace.pictures import draw_coverage, draw_paths, draw_plan
+    from raytrace.pictures.plans import draw_coverage, draw_paths, draw_plan
+    from raytrace.plan.floorplan import load_floorplan
 
     if coverage and paths is not None:
         raise ConfigurationError("expected --coverage or --paths, got both")
@@ -104,8 +104,8 @@ def random_(
     """Make a random floor plan with anchors and a walk."""
     import numpy as np
 
-    from raytrace.plan_files import save_floorplan
-    from raytrace.random_plans import random_plan
+    from raytrace.plan.files import save_floorplan
+    from raytrace.plan.random_plans import random_plan
 
     plan = random_plan(kind, np.random.default_rng(seed))  # type: ignore[arg-type]  # it checks
     save_floorplan(plan.updated({"name": out.stem[:100]}), out)
@@ -145,9 +145,9 @@ def import_(
 ) -> None:
     """Make a floor plan of a drawing, and report what was kept, dropped and collapsed."""
     from estimator.dataset import require_absent
-    from raytrace.import_options import ImportOptions
-    from raytrace.importers import import_floorplan
-    from raytrace.plan_files import save_floorplan
+    from raytrace.importers.convert import import_floorplan
+    from raytrace.importers.options import ImportOptions
+    from raytrace.plan.files import save_floorplan
 
     require_absent(out)
     options = ImportOptions(
@@ -169,7 +169,7 @@ def import_(
 @_scene.command(epilog=_examples("schema > floorplan.schema.json"))
 def schema() -> None:
     """Print the JSON Schema of floor plan files."""
-    from raytrace.plan_files import floorplan_schema
+    from raytrace.plan.files import floorplan_schema
 
     _say(json.dumps(floorplan_schema(), indent=2))
 
@@ -178,7 +178,7 @@ def schema() -> None:
 def profile(dataset: DatasetPath, out: Picture = None) -> None:
     """Draw a dataset's power over path length along the trajectory."""
     from estimator.dataset import open_dataset
-    from raytrace.dataset_pictures import draw_delay_profile
+    from raytrace.pictures.datasets import draw_delay_profile
 
     _check_name(out)
     opened = open_dataset(dataset)
@@ -193,7 +193,7 @@ def sweep(
 ) -> None:
     """Draw the echo of a dataset's beam sweep over range and angle."""
     from estimator.dataset import open_dataset
-    from raytrace.dataset_pictures import draw_range_angle
+    from raytrace.pictures.datasets import draw_range_angle
 
     _check_name(out)
     opened = open_dataset(dataset)

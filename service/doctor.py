@@ -16,7 +16,7 @@ _SQLITE = (3, 35)
 
 
 class Finding(Protocol):
-    """One thing that was looked at; :class:`raytrace.backend.Check` is one."""
+    """One thing that was looked at; :class:`raytrace.propagation.backend.Check` is one."""
 
     @property
     def name(self) -> str:

@@ -22,7 +22,7 @@ from estimator.errors import BackendError
 from service.bench.rows import Row, cpu_s
 
 if TYPE_CHECKING:
-    from raytrace.floorplan import FloorPlan
+    from raytrace.plan.floorplan import FloorPlan
 
 __all__ = ["rows"]
 
@@ -65,7 +65,7 @@ def _passive(positions: int, sample: int) -> Iterator[Row]:
 
 def _scenes(positions: int) -> Iterator[Row]:
     """Paths of the other shipped scenes, depth 2."""
-    from raytrace.floorplan import shipped_scenes
+    from raytrace.plan.floorplan import shipped_scenes
 
     for name in shipped_scenes():
         if name != "l-room":
@@ -76,7 +76,7 @@ def _scenes(positions: int) -> Iterator[Row]:
 
 def _walked(name: str, positions: int) -> FloorPlan:
     """A shipped scene with so many positions at equal steps on its walk, depth 2."""
-    from raytrace.floorplan import load_floorplan
+    from raytrace.plan.floorplan import load_floorplan
 
     plan = load_floorplan(name)
     step = plan.agent.step_m * (plan.agent.epochs - 1) / positions
@@ -85,8 +85,8 @@ def _walked(name: str, positions: int) -> FloorPlan:
 
 def _traced_ms(plan: FloorPlan) -> float:
     """CPU time per position and anchor."""
-    from raytrace.passive import trace_passive
-    from raytrace.scene import build_scene
+    from raytrace.propagation.passive import trace_passive
+    from raytrace.propagation.scene import build_scene
 
     radio = build_scene(plan, plan.radio.carrier_hz)
     seconds = cpu_s(lambda: trace_passive(plan, radio), 1)
@@ -100,7 +100,7 @@ def _naive_ms(plan: FloorPlan, sample: int) -> float:
     """
     import sionna.rt as rt
 
-    from raytrace.scene import build_scene
+    from raytrace.propagation.scene import build_scene
 
     scene = build_scene(plan, plan.radio.carrier_hz).scene
     scene.tx_array = scene.rx_array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
@@ -140,7 +140,7 @@ def _dataset(positions: int) -> Iterator[Row]:
 
 def _generated(positions: int, folder: Path) -> tuple[float, float, float, int]:
     """Seconds, peak of resident memory (GiB), size (GiB) and tones of a dataset that is made."""
-    from raytrace.generate import generate
+    from raytrace.dataset.generate import generate
 
     plan = _long_walk(positions)
     begin = time.perf_counter()
@@ -152,7 +152,7 @@ def _generated(positions: int, folder: Path) -> tuple[float, float, float, int]:
 
 def _long_walk(positions: int) -> FloorPlan:
     """The L-room with four anchors, its walk gone to and fro as often as it takes, in steps of 5 cm."""
-    from raytrace.floorplan import load_floorplan
+    from raytrace.plan.floorplan import load_floorplan
 
     room = load_floorplan("l-room")
     way = room.agent.waypoints_m

@@ -11,9 +11,9 @@ import pytest
 from estimator.dataset import open_dataset
 from estimator.extract import extract_epochs, sense_walls
 from estimator.geometry import rotate, vrp_of_line
-from raytrace.floorplan import FloorPlan, load_floorplan
-from raytrace.generate import generate
-from raytrace.shards import stored_paths
+from raytrace.dataset.generate import generate
+from raytrace.dataset.shards import stored_paths
+from raytrace.plan.floorplan import FloorPlan, load_floorplan
 from tests.estimator.test_extract import Matched, match
 
 SEEDS = 10

@@ -22,11 +22,11 @@ from estimator.extract import ExtractConfig, extract, extract_epochs, sense_wall
 from estimator.geometry import vrp_of_line
 from estimator.measurements import Epoch, MeasurementSet, load_measurements, save_measurements
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
-from raytrace.channel import add_noise, channel_response
-from raytrace.floorplan import load_floorplan
-from raytrace.images import image_paths
-from raytrace.impairments import jitter
-from raytrace.paths import PathSet
+from raytrace.plan.floorplan import load_floorplan
+from raytrace.propagation.images import image_paths
+from raytrace.propagation.paths import PathSet
+from raytrace.radio.channel import add_noise, channel_response
+from raytrace.radio.impairments import jitter
 
 JITTER_S = 1e-10
 GATE_M = 0.5

@@ -13,8 +13,8 @@ from estimator.evaluation import evaluate
 from estimator.extract import extract
 from estimator.measurements import MeasurementSet
 from estimator.slam import run_slam
-from raytrace.floorplan import FloorPlan, load_floorplan
-from raytrace.generate import generate
+from raytrace.dataset.generate import generate
+from raytrace.plan.floorplan import FloorPlan, load_floorplan
 
 SEEDS = (1, 2, 3)
 OTHER_ANCHORS = {"right": ((75.0, 5.0), (65.0, 55.0)), "below": ((20.0, 36.0), (55.0, 5.0))}

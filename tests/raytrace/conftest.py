@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 
 from estimator.dataset import Dataset
-from raytrace.floorplan import FloorPlan, load_floorplan
-from raytrace.generate import generate
-from raytrace.output import Output
-from raytrace.passive import TraceReport, trace_passive
-from raytrace.paths import PathSet
-from raytrace.scene import RadioScene, build_scene
+from raytrace.dataset.generate import generate
+from raytrace.dataset.output import Output
+from raytrace.plan.floorplan import FloorPlan, load_floorplan
+from raytrace.propagation.passive import TraceReport, trace_passive
+from raytrace.propagation.paths import PathSet
+from raytrace.propagation.scene import RadioScene, build_scene
 
 Traced = tuple[FloorPlan, RadioScene, PathSet, TraceReport]
 

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from estimator.errors import BackendError
-from raytrace.backend import Check
+from raytrace.propagation.backend import Check
 from service import cli
 from service.doctor import as_json, machine_findings
 

@@ -14,7 +14,7 @@ import scipy.io
 import tomli_w
 
 from estimator.dataset import open_dataset
-from raytrace.floorplan import load_floorplan
+from raytrace.plan.floorplan import load_floorplan
 
 Runner = Callable[..., SimpleNamespace]
 

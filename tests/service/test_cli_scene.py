@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from raytrace.floorplan import load_floorplan
-from raytrace.random_plans import KINDS
+from raytrace.plan.floorplan import load_floorplan
+from raytrace.plan.random_plans import KINDS
 
 Runner = Callable[..., SimpleNamespace]
 

@@ -1,0 +1,1 @@
+"""Datasets on disk: made shard by shard, resumed, merged, checked and exported."""

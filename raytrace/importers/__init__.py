@@ -1,0 +1,1 @@
+"""Drawings of other programs to floor plans."""

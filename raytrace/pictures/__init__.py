@@ -1,0 +1,1 @@
+"""Pictures of floor plans, paths and datasets."""

@@ -1,0 +1,1 @@
+"""Floor plans: their parts, files, checks, walks and random ones."""

@@ -1,0 +1,93 @@
+"""Who sends, who listens and who stands about: anchors, agent and targets of a plan."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from raytrace.plan.links import Count, Finite, NonNegative, Part, Positive, added
+
+__all__ = ["Agent", "Anchor", "Clock", "FurtherAgent", "Name", "Point2", "Point3", "Target"]
+
+Point2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
+Point3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
+Name = Annotated[str, Field(min_length=1, max_length=100)]
+
+
+class Clock(Part):
+    """A clock: ``offset_s`` ahead at the first epoch, gaining ``drift_ppm`` microseconds a second."""
+
+    offset_s: Finite = 0.0
+    drift_ppm: Finite = 0.0
+
+    def error_s(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """By how much the clock is ahead at times since the first epoch, same shape, seconds."""
+        return np.asarray(self.offset_s + 1e-6 * self.drift_ppm * times_s)
+
+
+class Anchor(Part):
+    """A physical anchor, and its clock.
+
+    Its array (``radio.anchor_array``) looks towards the azimuth ``boresight_deg`` of the
+    plan, turned down from the horizontal by ``downtilt_deg``.
+    """
+
+    name: Name
+    position_m: Point3
+    boresight_deg: Finite = added(0.0)
+    downtilt_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = added(0.0)
+    clock: Clock = added(Clock())
+
+
+class Agent(Part):
+    """The agent's track: way-points smoothed by a moving average, sampled every ``step_m``.
+
+    With the orientation ``fixed`` the axes of its arrays are turned by ``heading_deg``
+    against the plan's all the way; with ``travel`` they turn with it, by ``heading_deg``
+    against the direction of travel.
+    """
+
+    waypoints_m: Annotated[tuple[Point2, ...], Field(min_length=2, strict=False)]
+    height_m: Positive = 1.5
+    speed_m_s: Positive = 0.5
+    step_m: Positive = 0.5
+    epochs: Count = 236
+    smoothing_m: NonNegative = 5.0
+    heading_deg: Finite = 0.0
+    orientation: Literal["fixed", "travel"] = added("fixed")
+    clock: Clock = added(Clock())
+
+
+class FurtherAgent(Agent):
+    """Another agent in the same rooms, with the radio and echo of the first; its dataset has its name."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
+
+
+class Target(Part):
+    """A thing that echoes like a point: furniture, a person.
+
+    Its radar cross section is either ``rcs_m2`` in square metres or ``rcs_dbsm`` in decibels
+    over one. Targets are heard in the echo; they neither hide anything nor scatter what
+    anchors send.
+    """
+
+    name: Name
+    position_m: Point3
+    rcs_m2: Positive | None = None
+    rcs_dbsm: Finite | None = None
+
+    @model_validator(mode="after")
+    def _has_one_section(self) -> Target:
+        if (self.rcs_m2 is None) == (self.rcs_dbsm is None):
+            came = "neither" if self.rcs_m2 is None else "both"
+            raise ValueError(f"expected either rcs_m2 or rcs_dbsm, got {came}")
+        return self
+
+    @property
+    def section_m2(self) -> float:
+        """Radar cross section, square metres."""
+        return self.rcs_m2 if self.rcs_m2 is not None else float(10.0 ** ((self.rcs_dbsm or 0.0) / 10.0))

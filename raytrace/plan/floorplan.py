@@ -1,0 +1,325 @@
+"""Floor plans: a versioned TOML file in metres, read into frozen models and validated.
+
+A plan says where the walls, the anchors and the agent are and how they signal. The
+plan frame is right-handed, z up from the floor; azimuths count counter-clockwise
+from its x axis. :func:`load_floorplan` reads a file or one of the shipped scenes;
+whatever is wrong with it is told in one line that names the file, the field, what
+was expected and what came.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError, model_validator
+
+from estimator.errors import InputError
+from raytrace.plan.checks import PlanFault, check_plan
+from raytrace.plan.devices import Agent, Anchor, FurtherAgent, Name, Target
+from raytrace.plan.errors import one_line
+from raytrace.plan.links import Echo, Part, Radio, added
+from raytrace.plan.materials import permittivity, relative_permittivity
+from raytrace.plan.surfaces import Fraction, Material, ScatteringPattern, Slab, Wall
+from raytrace.plan.trajectory import smoothed_track, travel_azimuths
+
+__all__ = [
+    "Agent",
+    "Anchor",
+    "FloorPlan",
+    "FloorPlanError",
+    "Slab",
+    "Target",
+    "Tracing",
+    "Wall",
+    "load_floorplan",
+    "parse_floorplan",
+    "shipped_scenes",
+]
+
+FORMAT = "hapslam-floorplan"
+VERSION = 1
+
+
+class FloorPlanError(InputError):
+    """A floor plan is missing, cannot be parsed, or describes something impossible."""
+
+
+class Tracing(Part):
+    """How paths are searched for: bounces, rays, and which mechanisms besides specular reflection.
+
+    ``refraction`` adds paths through walls (each wall counts as a bounce), ``diffraction``
+    those around the corners at which two walls meet, ``edge_diffraction`` those around free
+    ends and rims, too. There is no oracle for these.
+    """
+
+    depth: Annotated[int, Field(ge=0, le=3)] = 2
+    samples: Annotated[int, Field(ge=1000, le=10_000_000)] = 6_000
+    diffuse: bool = True
+    diffuse_samples: Annotated[int, Field(ge=100, le=1_000_000)] = 2_000
+    refraction: bool = added(False)
+    diffraction: bool = added(False)
+    edge_diffraction: bool = added(False)
+
+    @property
+    def bends(self) -> bool:
+        """Whether paths through walls or around corners are to be traced."""
+        return self.refraction or self.diffraction
+
+    @model_validator(mode="after")
+    def _edges_need_diffraction(self) -> Tracing:
+        if self.edge_diffraction and not self.diffraction:
+            raise ValueError("expected diffraction = true with edge_diffraction, got false")
+        return self
+
+
+class FloorPlan(Part):
+    """A whole plan. Build one with :func:`load_floorplan` or :func:`parse_floorplan`."""
+
+    format: Literal["hapslam-floorplan"]
+    version: Literal[1]
+    name: Name
+    description: str = ""
+    walls: Annotated[tuple[Wall, ...], Field(min_length=1, strict=False)]
+    floor: Slab | None = None
+    ceiling: Slab | None = None
+    materials: dict[str, Material] = added({})
+    scattering: dict[str, Fraction] = Field(default_factory=dict)
+    scattering_patterns: dict[str, ScatteringPattern] = added({})
+    anchors: Annotated[tuple[Anchor, ...], Field(min_length=1, strict=False)]
+    agent: Agent
+    agents: Annotated[tuple[FurtherAgent, ...], Field(strict=False)] = added(())
+    targets: Annotated[tuple[Target, ...], Field(strict=False)] = added(())
+    radio: Radio = Radio()
+    echo: Echo = Echo()
+    tracing: Tracing = Tracing()
+
+    @property
+    def has_floor(self) -> bool:
+        """Whether the floor reflects."""
+        return self.floor is not None and self.floor.enabled
+
+    @property
+    def has_ceiling(self) -> bool:
+        """Whether the ceiling reflects; it lies at the height of the highest wall."""
+        return self.ceiling is not None and self.ceiling.enabled
+
+    @property
+    def ceiling_height_m(self) -> float:
+        """Height of the highest wall, metres."""
+        return max(wall.height_m for wall in self.walls)
+
+    @property
+    def surface_names(self) -> tuple[str, ...]:
+        """Names of all reflecting surfaces: the walls in order, then ``floor``, then ``ceiling``.
+
+        Their places in this tuple are the indices that traced paths use.
+        """
+        names = [wall.name for wall in self.walls]
+        return tuple(names + ["floor"] * self.has_floor + ["ceiling"] * self.has_ceiling)
+
+    @property
+    def surface_slabs(self) -> tuple[Wall | Slab, ...]:
+        """What each surface is made of, in the order of :attr:`surface_names`."""
+        slabs = [slab for slab in (self.floor, self.ceiling) if slab is not None and slab.enabled]
+        return (*self.walls, *slabs)
+
+    def walls_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Both ends of every wall, two arrays of shape (walls, 2), metres."""
+        ends = np.array([(wall.from_m, wall.to_m) for wall in self.walls])
+        return ends[:, 0], ends[:, 1]
+
+    def anchors_m(self) -> NDArray[np.float64]:
+        """Anchor positions, shape (anchors, 3), metres."""
+        return np.array([anchor.position_m for anchor in self.anchors])
+
+    @property
+    def polarised(self) -> bool:
+        """Whether any antenna of the passive link is other than isotropic, vertical and upright."""
+        ends = self.radio.anchor_array, self.radio.agent_array
+        plain = all(end.pattern == "iso" and end.polarization == "V" for end in ends)
+        return not plain or any(anchor.downtilt_deg for anchor in self.anchors)
+
+    def by_agent(self) -> dict[str, FloorPlan]:
+        """A plan of one agent for each agent, by its name; the first is called ``agent``."""
+        plans = {"agent": self.model_copy(update={"agents": ()})}
+        for other in self.agents:
+            agent = Agent.model_validate(other.model_dump(exclude={"name"}))
+            plans[other.name] = self.model_copy(update={"agent": agent, "agents": ()})
+        return plans
+
+    def track(self) -> NDArray[np.float64]:
+        """The agent's positions, shape (epochs, 3), metres; row 0 is the reference point."""
+        agent = self.agent
+        plane = smoothed_track(agent.waypoints_m, agent.smoothing_m, agent.step_m, agent.epochs)
+        return np.column_stack([plane, np.full(agent.epochs, agent.height_m)])
+
+    def headings_rad(self) -> NDArray[np.float64]:
+        """Azimuth of the agent's x axis in the plan at every epoch, shape (epochs,), radians."""
+        agent = self.agent
+        mounted = np.full(agent.epochs, float(np.deg2rad(agent.heading_deg)))
+        return mounted if agent.orientation == "fixed" else mounted + self._travel_azimuths()
+
+    @property
+    def heading_rad(self) -> float:
+        """Azimuth of the estimator's x axis in the plan: the agent's heading at the start, radians."""
+        return float(self.headings_rad()[0])
+
+    def velocities_m_s(self) -> NDArray[np.float64]:
+        """The agent's velocity at every epoch, plan frame, shape (epochs, 3), metres per second."""
+        azimuth = self._travel_azimuths()
+        ahead = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)])
+        return np.asarray(self.agent.speed_m_s * ahead)
+
+    def _travel_azimuths(self) -> NDArray[np.float64]:
+        agent = self.agent
+        return travel_azimuths(agent.waypoints_m, agent.smoothing_m, agent.step_m, agent.epochs)
+
+    def clock_errors_s(self) -> NDArray[np.float64]:
+        """What the clocks add to every delay, shape (epochs, anchors), seconds: agent's less anchor's."""
+        times = self.times_s()
+        anchors = np.stack([anchor.clock.error_s(times) for anchor in self.anchors], axis=1)
+        return np.asarray(self.agent.clock.error_s(times)[:, None] - anchors)
+
+    def times_s(self) -> NDArray[np.float64]:
+        """Time of every epoch since the first, shape (epochs,), seconds."""
+        return np.arange(self.agent.epochs, dtype=np.float64) * (self.agent.step_m / self.agent.speed_m_s)
+
+    def permittivity_of(self, material: str, frequency_hz: float) -> complex:
+        """Complex relative permittivity of a material of the plan's own or of the ITU's table.
+
+        Raises
+        ------
+        InputError
+            If the material is unknown, or not defined at this frequency.
+        """
+        own = self.materials.get(material)
+        if own is None:
+            return permittivity(material, frequency_hz)
+        return relative_permittivity(own.relative_permittivity, own.conductivity_s_m, frequency_hz)
+
+    def scattering_of(self, material: str) -> float:
+        """Scattering coefficient S of a material (zero unless the plan sets one)."""
+        return self.scattering.get(material, 0.0)
+
+    def scattering_pattern_of(self, material: str) -> ScatteringPattern:
+        """Scattering pattern of a material (Lambertian unless the plan sets one)."""
+        return self.scattering_patterns.get(material, ScatteringPattern())
+
+    @property
+    def scatters(self) -> bool:
+        """Whether any surface of the plan scatters and scattering is to be traced."""
+        return self.tracing.diffuse and any(
+            self.scattering_of(slab.material) > 0 for slab in self.surface_slabs
+        )
+
+    def canonical_json(self) -> str:
+        """The plan with all defaults filled in, as JSON with sorted keys."""
+        return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+
+    def sha256(self) -> str:
+        """Hash of :meth:`canonical_json`; two spellings of one plan have the same hash."""
+        return hashlib.sha256(self.canonical_json().encode("utf-8")).hexdigest()
+
+    def updated(self, changes: Mapping[str, Any]) -> FloorPlan:
+        """A validated copy with some values changed, keyed by dotted names.
+
+        Parameters
+        ----------
+        changes : mapping
+            For example ``{"agent.epochs": 20, "echo.model": "radar-equation"}``.
+
+        Raises
+        ------
+        FloorPlanError
+            If a name is unknown or the changed plan is not valid.
+        """
+        data = self.model_dump(mode="json")
+        for dotted, value in changes.items():
+            *parents, last = dotted.split(".")
+            node, part = data, cast(Any, self)
+            for parent in parents:
+                part = getattr(part, parent, None)
+                if isinstance(part, (Part, dict)):
+                    node.setdefault(parent, {})
+                if not isinstance(node.get(parent), dict):
+                    raise FloorPlanError(
+                        f"{self.name}: {dotted}: expected the name of a value, got {parent!r}"
+                    )
+                node = node[parent]
+            node[last] = value
+        return parse_floorplan(data, source=self.name)
+
+
+def parse_floorplan(data: Mapping[str, Any], source: str = "floor plan") -> FloorPlan:
+    """Build a plan from the contents of a TOML file and check that it makes sense.
+
+    Parameters
+    ----------
+    data : mapping
+        What :mod:`tomllib` returns.
+    source : str
+        The file's name, for messages.
+
+    Raises
+    ------
+    FloorPlanError
+        In one line: the file, the field, what was expected, and what came.
+    """
+    for key, wanted in (("format", FORMAT), ("version", VERSION)):
+        if key not in data or data[key] != wanted or isinstance(data[key], bool):
+            came = repr(data[key]) if key in data else "nothing"
+            raise FloorPlanError(f"{source}: {key}: expected {wanted!r}, got {came}")
+    if data.get("floor", 0) is None or data.get("ceiling", 0) is None:
+        data = {key: value for key, value in data.items() if value is not None}
+    try:
+        plan = FloorPlan.model_validate(dict(data))
+    except ValidationError as error:
+        raise FloorPlanError(f"{source}: {one_line(error)}") from error
+    try:
+        check_plan(plan)
+    except PlanFault as fault:
+        raise FloorPlanError(f"{source}: {fault}") from fault
+    return plan
+
+
+def load_floorplan(path_or_name: str | Path) -> FloorPlan:
+    """Read a plan from a TOML file, or a shipped scene by its name (``"l-room"``).
+
+    Raises
+    ------
+    FloorPlanError
+        If there is no such file or scene, it is no TOML, or the plan is not valid.
+    """
+    path = Path(path_or_name)
+    if not path.is_file() and str(path_or_name) in shipped_scenes():
+        path = _scene_folder() / f"{path_or_name}.toml"
+    if not path.is_file():
+        names = ", ".join(shipped_scenes())
+        raise FloorPlanError(
+            f"{path_or_name}: expected a floor plan file or one of {names}; nothing is there"
+        )
+    try:
+        with path.open("rb") as stream:
+            data = tomllib.load(stream)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise FloorPlanError(f"{path}: expected a TOML file, could not read it: {error}") from error
+    return parse_floorplan(data, source=str(path))
+
+
+def shipped_scenes() -> tuple[str, ...]:
+    """Names of the scenes that come with the package, sorted."""
+    return tuple(sorted(path.stem for path in _scene_folder().glob("*.toml")))
+
+
+def _scene_folder() -> Path:
+    """The installed package holds its scenes; a source tree has them at its root."""
+    packaged = Path(str(resources.files("raytrace"))) / "scenes"
+    return packaged if packaged.is_dir() else packaged.parent.parent / "scenes"

@@ -1,0 +1,258 @@
+"""Where an agent can walk and anchors can hang, in a plan that does not say.
+
+The free space is what the walls enclose, less a clearance around them. The walk starts
+at one end of it and goes, time and again, along the shortest path to what is farthest
+from all it has passed, until everything is near it or it is long enough; anchors are
+put one by one where they see most of the walk that too few anchors saw before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from estimator.errors import InputError
+from raytrace.plan.trajectory import smoothed_track
+
+__all__ = ["Walk", "enclosed", "place_anchors", "plan_walk"]
+
+Array = NDArray[np.float64]
+
+# Less than half a door; and half a wall and what smoothing cuts off a corner.
+_CLEARANCE_M = 0.3
+_MARGIN_M = 0.15
+_SMOOTHING_M = 0.5
+_NODES = 5000
+# What is nearer than this to the walk need not be visited.
+_NEAR_M = 2.5
+_SNAP_M = 1e-3
+# Off the lattice on which walls are drawn.
+_ORIGIN = (0.37, 0.41)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A track as a floor plan states it.
+
+    Parameters
+    ----------
+    waypoints_m : tuple of tuple
+        Way-points, metres.
+    step_m : float
+        Distance between epochs, metres.
+    epochs : int
+        Number of epochs.
+    smoothing_m : float
+        Window of the moving average, metres.
+    """
+
+    waypoints_m: tuple[tuple[float, float], ...]
+    step_m: float
+    epochs: int
+    smoothing_m: float = _SMOOTHING_M
+
+
+def enclosed(start_m: Array, end_m: Array) -> shapely.Geometry:
+    """The area that walls (n, 2), (n, 2) enclose; gaps up to a millimetre are closed."""
+    lines = shapely.linestrings(np.stack([start_m, end_m], axis=1))
+    network = shapely.union_all(shapely.set_precision(lines, _SNAP_M))
+    return shapely.union_all(shapely.get_parts(shapely.polygonize([*shapely.get_parts(network)])))
+
+
+def plan_walk(
+    start_m: Array, end_m: Array, thickness_m: Array, most_epochs: int = 236, step_m: float = 0.5
+) -> Walk:
+    """A walk through the largest connected free space.
+
+    Parameters
+    ----------
+    start_m, end_m : ndarray, shape (n, 2)
+        Ends of the walls, metres.
+    thickness_m : ndarray, shape (n,)
+        Their thickness, metres.
+    most_epochs : int
+        Length of the walk in steps.
+    step_m : float
+        Step of a long walk, metres; a short one is divided into sixty steps.
+
+    Raises
+    ------
+    InputError
+        If the walls enclose nothing, or nothing wide enough to walk in.
+    """
+    room = enclosed(start_m, end_m)
+    if room.is_empty:
+        raise InputError("walls: expected walls that enclose a room, got none that do (gaps at corners?)")
+    free = _free(room, start_m, end_m, thickness_m)
+    nodes, graph = _lattice(free)
+    if len(nodes) < 3:
+        raise InputError(
+            f"walls: expected space to walk {_CLEARANCE_M:g} m from the walls, got none in {room.area:.3g} m2"
+        )
+    legs = [_taut(nodes[leg], free) for leg in _explore(graph, 1.1 * most_epochs * step_m)]
+    waypoints = np.round(np.vstack([legs[0][:1], *(leg[1:] for leg in legs)]), 3)
+    length = float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
+    step = step_m if length > 60 * step_m else round(length / 60, 4)
+    epochs = min(most_epochs, int(length / step))
+    while True:  # smoothing cuts corners: the track is a little shorter than its polyline
+        try:
+            smoothed_track(waypoints, _SMOOTHING_M, step, epochs)
+            break
+        except InputError:
+            epochs -= 1
+    return Walk(tuple((float(x), float(y)) for x, y in waypoints), step, epochs)
+
+
+def place_anchors(
+    start_m: Array,
+    end_m: Array,
+    thickness_m: Array,
+    track_m: Array,
+    least: int = 2,
+    most: int = 6,
+    wanted: int = 2,
+) -> Array:
+    """Places from which a track is seen.
+
+    Parameters
+    ----------
+    start_m, end_m : ndarray, shape (n, 2)
+        Ends of the walls, metres.
+    thickness_m : ndarray, shape (n,)
+        Their thickness, metres.
+    track_m : ndarray, shape (epochs, 2)
+        The agent's track, metres.
+    least, most : int
+        Fewest and most anchors; after the fewest, only such that help are added.
+    wanted : int
+        Anchors that each position should see.
+
+    Returns
+    -------
+    ndarray, shape (anchors, 2)
+
+    Raises
+    ------
+    InputError
+        If there is no room for an anchor.
+    """
+    free = _free(enclosed(start_m, end_m), start_m, end_m, thickness_m, whole=True)
+    nodes, _ = _lattice(free)
+    seen_from = track_m[:: max(1, len(track_m) // 60)]
+    gap = np.linalg.norm(nodes[:, None] - seen_from, axis=-1).min(axis=1) if len(nodes) else np.zeros(0)
+    candidates = nodes[gap > min(1.0, 0.5 * float(gap.max(initial=0.0)))]
+    candidates = candidates[:: max(1, len(candidates) // 300)]
+    if len(candidates) == 0:
+        raise InputError("walls: expected room for an anchor off the track, got none")
+    seen = _visible(candidates, seen_from, start_m, end_m)
+    count = np.zeros(len(seen_from), dtype=np.int64)
+    chosen: list[int] = []
+    extent = float(np.ptp(np.vstack([start_m, end_m]), axis=0).max())
+    while len(chosen) < min(most, len(candidates)):
+        gain = np.sum(seen & (count < wanted), axis=1).astype(np.float64)
+        if len(chosen) >= least and (count >= 1).all():
+            break
+        if len(chosen) >= least and gain.max() == 0:
+            break
+        others = candidates[chosen] if chosen else seen_from
+        spread = np.linalg.norm(candidates[:, None] - others, axis=-1).min(axis=1)
+        gain += len(seen_from) * 0.3 * np.minimum(spread / extent, 0.5)
+        gain[chosen] = -1.0
+        best = int(np.argmax(gain))
+        chosen.append(best)
+        count += seen[best]
+    return np.round(candidates[chosen], 3)
+
+
+def _free(
+    room: shapely.Geometry, start_m: Array, end_m: Array, thickness_m: Array, whole: bool = False
+) -> shapely.Geometry:
+    """The room less a clearance around its walls; its largest part unless the whole is wanted."""
+    walls = shapely.linestrings(np.stack([start_m, end_m], axis=1))
+    clearance = np.maximum(_CLEARANCE_M, 0.5 * thickness_m + _MARGIN_M)
+    free = shapely.difference(room, shapely.union_all(shapely.buffer(walls, clearance, quad_segs=4)))
+    parts = shapely.get_parts(free)
+    if whole or len(parts) < 2:
+        return free
+    return parts[int(np.argmax(shapely.area(parts)))]
+
+
+def _lattice(free: shapely.Geometry) -> tuple[Array, csr_array]:
+    """Points of a lattice within an area, and the lengths of the links between neighbours."""
+    if free.is_empty:
+        return np.zeros((0, 2)), csr_array((0, 0))
+    pitch = float(np.clip(np.sqrt(free.area / _NODES), 0.1, 2.0))
+    left, bottom, right, top = free.bounds
+    across = np.arange(left + _ORIGIN[0] * pitch, right, pitch)
+    upward = np.arange(bottom + _ORIGIN[1] * pitch, top, pitch)
+    points = np.stack(np.meshgrid(across, upward, indexing="ij"), axis=-1)
+    shapely.prepare(free)
+    inside = shapely.contains_xy(free, points[..., 0], points[..., 1])
+    number = np.where(inside, np.cumsum(inside.ravel()).reshape(inside.shape) - 1, -1)
+    links = []
+    columns, rows = number.shape
+    for right_by, up_by in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        low, high = max(0, -up_by), rows - max(0, up_by)
+        one = number[: columns - right_by, low:high]
+        other = number[right_by:, low + up_by : high + up_by]
+        both = (one >= 0) & (other >= 0)
+        links.append(np.stack([one[both], other[both]], axis=1))
+    nodes = points[inside]
+    pairs = np.concatenate(links)
+    clear = shapely.covers(free, shapely.linestrings(nodes[pairs])) if len(pairs) else np.zeros(0, bool)
+    pairs = pairs[clear]
+    length = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
+    graph = csr_array((length, (pairs[:, 0], pairs[:, 1])), shape=(len(nodes), len(nodes)))
+    return nodes, graph + graph.T
+
+
+def _explore(graph: csr_array, most_m: float) -> list[list[int]]:
+    """Routes from stop to stop, each to the node that is farthest from all routes before."""
+    from_any = dijkstra(graph, indices=[0])[0]
+    at = int(np.argmax(np.where(np.isfinite(from_any), from_any, -1.0)))
+    passed, length = [at], 0.0
+    legs: list[list[int]] = []
+    while length < most_m:
+        gap = dijkstra(graph, indices=passed, min_only=True)
+        goal = int(np.argmax(np.where(np.isfinite(gap), gap, -1.0)))
+        if legs and gap[goal] < _NEAR_M:
+            break
+        (reach,), (before,) = dijkstra(graph, indices=[at], return_predecessors=True)
+        leg = [goal]
+        while leg[-1] != at:
+            leg.append(int(before[leg[-1]]))
+        legs.append(leg[::-1])
+        passed += leg
+        length += float(reach[goal])
+        at = goal
+    return legs
+
+
+def _taut(points: Array, free: shapely.Geometry) -> Array:
+    """A route with every point left out that a straight line makes needless."""
+    kept, at = [0], 0
+    while at < len(points) - 1:
+        ahead = np.arange(at + 1, len(points))
+        straight = shapely.linestrings(
+            np.stack([np.broadcast_to(points[at], (len(ahead), 2)), points[ahead]], 1)
+        )
+        clear = np.flatnonzero(shapely.covers(free, straight))
+        at = int(ahead[clear[-1]]) if len(clear) else at + 1
+        kept.append(at)
+    return points[kept]
+
+
+def _visible(sources: Array, targets: Array, start_m: Array, end_m: Array) -> NDArray[np.bool_]:
+    """Which targets (m, 2) no wall hides from sources (n, 2), shape (n, m)."""
+    ends = np.stack(np.broadcast_arrays(sources[:, None], targets[None]), axis=2)
+    rays = shapely.linestrings(ends.reshape(-1, 2, 2))
+    walls = shapely.linestrings(np.stack([start_m, end_m], axis=1))
+    hit, _ = shapely.STRtree(walls).query(rays, predicate="intersects")
+    clear = np.ones(len(rays), dtype=np.bool_)
+    clear[hit] = False
+    return clear.reshape(len(sources), len(targets))

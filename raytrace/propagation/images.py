@@ -1,0 +1,375 @@
+"""The image method: all specular paths of a floor plan, exactly.
+
+The anchor is mirrored in a sequence of surfaces; the path is unfolded backward from
+the agent, each bounce where the line to the image meets its surface. A path exists
+if every bounce falls on its finite surface and no leg is blocked. This is the
+two-dimensional equation (2) of the paper in three dimensions, with visibility.
+
+It shares nothing with the ray tracer, in double precision, and so proves that the
+tracer lost no path; it also serves where paths are needed without Mitsuba. Its cost
+grows as the number of sequences of surfaces that a beam from the anchor can take.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimator.waveform import SPEED_OF_LIGHT_M_S
+from raytrace.plan.floorplan import FloorPlan
+from raytrace.propagation.fields import specular_amplitude
+from raytrace.propagation.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathList, PathSet, angles_of
+
+__all__ = ["Surfaces", "blocked", "image_paths", "mirrored", "surfaces_of"]
+
+Array = NDArray[np.float64]
+
+# What meets a surface's rim to within this is taken to meet it.
+_RIM_M = 1e-6
+# Pairs of a position and a sequence of surfaces, or of a leg and a surface, looked at together: what is
+# written about them stays in the processor's cache.
+_PAIRS = 60_000
+# By so much more than the rim a bounce may miss its surface until it is looked at closely.
+_SLACK_M = 1e-6
+# Fraction of a leg ignored at either end when it is tested for obstacles: it starts on a surface.
+_TIP = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """Rectangles in space: every wall, then floor, then ceiling.
+
+    Parameters
+    ----------
+    origin : ndarray, shape (surfaces, 3)
+        One corner, metres.
+    sides : ndarray, shape (surfaces, 2, 3)
+        Unit vectors along the two sides that meet there.
+    lengths : ndarray, shape (surfaces, 2)
+        Lengths of these sides, metres.
+    normal : ndarray, shape (surfaces, 3)
+        Unit normal, the cross product of the sides.
+    """
+
+    origin: Array
+    sides: Array
+    lengths: Array
+    normal: Array
+
+    def __len__(self) -> int:
+        return len(self.origin)
+
+    def corners(self) -> Array:
+        """The four corners of every rectangle in turn, shape (surfaces, 4, 3), metres."""
+        first, second = np.moveaxis(self.sides * self.lengths[..., None], 1, 0)
+        steps = [np.zeros_like(first), first, first + second, second]
+        return np.stack([self.origin + step for step in steps], axis=1)
+
+
+def surfaces_of(plan: FloorPlan) -> Surfaces:
+    """The reflecting rectangles of a plan, in the order of ``plan.surface_names``.
+
+    Floor and ceiling are the bounding rectangle of the walls; the walls confine what
+    can be reached of them.
+    """
+    start, end = plan.walls_m()
+    low, high = np.minimum(start, end).min(axis=0), np.maximum(start, end).max(axis=0)
+    rectangles = [
+        ((*a, 0.0), (*(b - a), 0.0), (0.0, 0.0, wall.height_m))
+        for wall, a, b in zip(plan.walls, start, end, strict=True)
+    ]
+    width, depth = high - low
+    if plan.has_floor:
+        rectangles.append(((*low, 0.0), (width, 0.0, 0.0), (0.0, depth, 0.0)))
+    if plan.has_ceiling:
+        rectangles.append(((*low, plan.ceiling_height_m), (width, 0.0, 0.0), (0.0, depth, 0.0)))
+    origin, first, second = np.moveaxis(np.array(rectangles, dtype=np.float64), 1, 0)
+    sides = np.stack([first, second], axis=1)
+    lengths = np.linalg.norm(sides, axis=-1)
+    sides /= lengths[..., None]
+    return Surfaces(origin, sides, lengths, np.cross(sides[:, 0], sides[:, 1]))
+
+
+def image_paths(
+    plan: FloorPlan,
+    positions_m: ArrayLike | None = None,
+    depth: int | None = None,
+    anchors_m: ArrayLike | None = None,
+    rim_m: float = _RIM_M,
+    leg_m: float = 0.0,
+    among: NDArray[np.int16] | None = None,
+) -> PathSet:
+    """All specular paths from every anchor to every position.
+
+    Parameters
+    ----------
+    plan : FloorPlan
+        Walls, floor, ceiling and their materials; the carrier of its ``radio``.
+    positions_m : array_like, shape (n, 3), optional
+        Positions of the agent, metres; by default the plan's track.
+    depth : int, optional
+        Most bounces; by default the plan's ``tracing.depth``.
+    anchors_m : array_like, shape (k, 3), optional
+        Anchors, metres; by default the plan's.
+    rim_m : float
+        Paths that bounce closer than this to the rim of a surface, or pass closer by
+        one, are left out: there the rim decides, not the surface. If it is negative, those
+        are included that miss a surface, or an opening, by no more. It is measured across
+        the ray: along a surface that is grazed it is longer.
+    leg_m : float
+        Paths with a leg shorter than this are left out: both its ends are at one corner.
+    among : ndarray of int16, shape (n, bounces), optional
+        Only paths that bounce on one of these sequences of surfaces, as ``PathList.walls``.
+
+    Returns
+    -------
+    PathSet
+        Axes (n, k, path).
+    """
+    positions = plan.track() if positions_m is None else np.asarray(positions_m, dtype=np.float64)
+    anchors = plan.anchors_m() if anchors_m is None else np.asarray(anchors_m, dtype=np.float64)
+    depth = plan.tracing.depth if depth is None else depth
+    surfaces = surfaces_of(plan)
+    parts = []
+    for index, anchor in enumerate(anchors):
+        for order in range(depth + 1):
+            sequences = (
+                _sequences(surfaces, anchor, order, rim_m)
+                if among is None
+                else _of_order(among, order, len(surfaces))
+            )
+            images = _images(surfaces, anchor, sequences)
+            found = _visible(surfaces, positions, sequences, images, rim_m, leg_m)
+            parts.append(_path_list(plan, surfaces, index, max(depth, 1), *found))
+    return PathSet.build(PathList.concatenate(parts), len(positions), len(anchors))
+
+
+def _visible(
+    surfaces: Surfaces,
+    positions: Array,
+    sequences: NDArray[np.int64],
+    images: Array,
+    rim_m: float,
+    leg_m: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Paths of sequences (q, order) to positions (n, 3) that nothing blocks.
+
+    Returns the position's index, the surfaces (paths, order), and the vertices from anchor to
+    agent (paths, order + 2, 3).
+    """
+    block = max(1, _PAIRS // max(1, len(sequences)))
+    parts = [
+        (row, epoch + first, vertices)
+        for first in range(0, len(positions), block)
+        for epoch, row, vertices in (
+            _unfold(surfaces, positions[first : first + block], sequences, images, rim_m),
+        )
+    ]
+    row, epoch, vertices = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    clear = np.all(np.linalg.norm(np.diff(vertices, axis=1), axis=-1) >= leg_m, axis=1)
+    for leg in range(vertices.shape[1] - 1):  # what the first leg ends is not asked for the next
+        left = np.flatnonzero(clear)
+        clear[left] = ~blocked(surfaces, vertices[left, leg], vertices[left, leg + 1], rim_m)
+    return epoch[clear], sequences[row[clear]], vertices[clear]
+
+
+def _path_list(
+    plan: FloorPlan,
+    surfaces: Surfaces,
+    anchor: int,
+    bounces: int,
+    epoch: NDArray[np.int64],
+    hit: NDArray[np.int64],
+    vertices: Array,
+) -> PathList:
+    """Paths of one order, with columns for some bounces, from what :func:`_visible` found."""
+    order = hit.shape[1]
+    length = np.linalg.norm(np.diff(vertices, axis=1), axis=-1).sum(axis=1)
+    departure = angles_of(vertices[:, 1] - vertices[:, 0])
+    arrival = angles_of(vertices[:, -2] - vertices[:, -1])
+    walls = np.full((len(epoch), bounces), NO_SURFACE, dtype=np.int16)
+    walls[:, :order] = hit
+    return PathList(
+        epoch=epoch,
+        anchor=np.full(len(epoch), anchor, dtype=np.int64),
+        delay_s=length / SPEED_OF_LIGHT_M_S,
+        amplitude=specular_amplitude(plan, vertices, hit, surfaces.normal, plan.radio.carrier_hz),
+        departure_azimuth_rad=departure[0],
+        departure_elevation_rad=departure[1],
+        arrival_azimuth_rad=arrival[0],
+        arrival_elevation_rad=arrival[1],
+        order=np.full(len(epoch), order, dtype=np.int16),
+        walls=walls,
+        interactions=np.where(walls == NO_SURFACE, NO_INTERACTION, SPECULAR).astype(np.int8),
+        transfer=np.zeros((len(epoch), 0, 0), dtype=np.complex128),
+    )
+
+
+def _sequences(surfaces: Surfaces, anchor: Array, order: int, rim_m: float) -> NDArray[np.int64]:
+    """Sequences of ``order`` bounces that light from the anchor can take, shape (sequences, order).
+
+    A surface follows another if some of it lies where the beam goes that this one reflects. Paths
+    that miss a surface have no such beam: with a negative rim any surface follows any other.
+    """
+    sequences, image = np.zeros((1, 0), dtype=np.int64), anchor[None]
+    for bounce in range(order):
+        follows = np.ones((len(sequences), len(surfaces)), dtype=bool)
+        if bounce:
+            last = sequences[:, -1]
+            follows[np.arange(len(sequences)), last] = False
+            if rim_m >= 0.0:
+                follows &= _lit(surfaces, image, last)
+        row, wall = np.nonzero(follows)
+        sequences = np.column_stack([sequences[row], wall])
+        image = mirrored(surfaces, image[row], wall)
+    return sequences
+
+
+def _of_order(walls: NDArray[np.int16], order: int, surfaces: int) -> NDArray[np.int64]:
+    """The different sequences of ``order`` surfaces in ``walls``, shape (sequences, order)."""
+    there = (walls >= 0) & (walls < surfaces)
+    mine = there[:, :order].all(axis=1) & (walls[:, order:] == NO_SURFACE).all(axis=1)
+    return np.unique(walls[mine, :order].astype(np.int64), axis=0)
+
+
+def _images(surfaces: Surfaces, anchor: Array, sequences: NDArray[np.int64]) -> Array:
+    """The anchor and its images after every bounce of sequences (q, order); (q, order + 1, 3)."""
+    images = [np.broadcast_to(anchor, (len(sequences), 3))]
+    for wall in sequences.T:
+        images.append(mirrored(surfaces, images[-1], wall))
+    return np.stack(images, axis=1)
+
+
+def mirrored(surfaces: Surfaces, points: Array, index: NDArray[np.int64]) -> Array:
+    """Images (q, 3) of points in the planes of surfaces ``index`` (q,)."""
+    normal = surfaces.normal[index]
+    height = np.sum((points - surfaces.origin[index]) * normal, axis=-1)
+    return np.asarray(points - 2.0 * height[:, None] * normal)
+
+
+def _lit(surfaces: Surfaces, images: Array, last: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which surfaces may meet the beams (q,) from images through the surfaces ``last``; (q, surfaces).
+
+    The beam is a pyramid cut off at its surface; what lies outside one of its five planes is dark.
+    """
+    corners = surfaces.corners()
+    edges = corners[last] - images[:, None]
+    sides = np.cross(edges, np.roll(edges, -1, axis=1))
+    inward = np.sign(np.einsum("qpi,qi->qp", sides, edges.mean(axis=1)))
+    sides *= (inward / np.maximum(np.linalg.norm(sides, axis=-1), _TIP))[..., None]
+    normal = surfaces.normal[last]
+    height = np.sum((surfaces.origin[last] - images) * normal, axis=-1)
+    beyond = np.einsum("sci,qi->qsc", corners, normal * np.sign(height)[:, None])
+    beyond -= np.sum(surfaces.origin[last] * normal, axis=-1)[:, None, None] * np.sign(height)[:, None, None]
+    within = np.einsum("sci,qpi->qpsc", corners, sides)
+    within -= np.einsum("qi,qpi->qp", images, sides)[..., None, None]
+    flat = (inward == 0.0).any(axis=1) | (height == 0.0)  # seen edge on: no beam to speak of
+    lit = (within.max(axis=-1) > _TIP).all(axis=1) & (beyond.max(axis=-1) > _TIP)
+    return np.asarray(lit | flat[:, None])
+
+
+def _unfold(
+    surfaces: Surfaces, positions: Array, sequences: NDArray[np.int64], images: Array, rim_m: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Bounces of every sequence (q, order) seen from every position (n, 3), those on their surfaces.
+
+    Returns the position's index, the sequence's, and the vertices from anchor to agent
+    (paths, order + 2, 3).
+    """
+    epoch, row = _near_last(surfaces, positions, sequences, images[:, -1], rim_m)
+    vertices = [positions[epoch]]
+    for bounce in reversed(range(sequences.shape[1])):
+        wall = sequences[row, bounce]
+        towards = images[row, bounce + 1] - vertices[0]
+        normal = surfaces.normal[wall]
+        slope = np.sum(towards * normal, axis=-1)
+        gap = np.sum((surfaces.origin[wall] - vertices[0]) * normal, axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            fraction = gap / slope
+            margin = -rim_m * np.linalg.norm(towards, axis=-1) / np.abs(slope)
+        point = vertices[0] + np.where(np.isfinite(fraction), fraction, 0.0)[:, None] * towards
+        on = (fraction > _TIP) & (fraction < 1.0 - _TIP) & _on_rectangle(surfaces, wall, point, margin)
+        epoch, row = epoch[on], row[on]
+        vertices = [point[on], *(vertex[on] for vertex in vertices)]
+    return epoch, row, np.stack([images[row, 0], *vertices], axis=1)
+
+
+def _near_last(
+    surfaces: Surfaces, positions: Array, sequences: NDArray[np.int64], images: Array, rim_m: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Positions (n, 3) and sequences (q, order) between which the last surface lies, or nearly so.
+
+    A first look that is quick, since it multiplies matrices: whether the line from the position to
+    the last image (q, 3) meets the last surface, with some slack.
+    """
+    if sequences.shape[1] == 0:
+        epoch, row = np.nonzero(np.ones((len(positions), len(sequences)), dtype=bool))
+        return epoch, row
+    last = sequences[:, -1]
+
+    def coordinates(axes: Array) -> tuple[Array, Array]:  # of positions (n, q), of images (q,)
+        offset = np.sum(surfaces.origin[last] * axes, axis=-1)
+        return positions @ axes.T - offset, np.sum(images * axes, axis=-1) - offset
+
+    here, there = coordinates(surfaces.normal[last])
+    near = (here > 0.0) != (there > 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fraction = here / (here - there)
+        if rim_m >= 0.0:
+            margin: float | Array = _SLACK_M
+        else:
+            length = np.linalg.norm(positions[:, None] - images, axis=-1)
+            margin = _SLACK_M - rim_m * length / np.abs(here - there)
+    for side in range(2):
+        start, end = coordinates(surfaces.sides[last, side])
+        along = start + fraction * (end - start)
+        near &= (along >= -margin) & (along <= surfaces.lengths[last, side] + margin)
+    epoch, row = np.nonzero(near)
+    return epoch, row
+
+
+def _on_rectangle(
+    surfaces: Surfaces, index: NDArray[np.int64], points: Array, margin_m: Array
+) -> NDArray[np.bool_]:
+    """Whether points in the planes of surfaces ``index`` lie on the rectangles, grown by a margin."""
+    offset = points - surfaces.origin[index]
+    along = np.einsum("nd,nsd->ns", offset, surfaces.sides[index])
+    margin_m = margin_m[:, None]
+    within = (along >= -margin_m) & (along <= surfaces.lengths[index] + margin_m)
+    return np.asarray(within.all(axis=-1))
+
+
+def blocked(surfaces: Surfaces, start: Array, end: Array, rim_m: float = _RIM_M) -> NDArray[np.bool_]:
+    """Whether legs from (..., 3) to (..., 3) meet any surface, grown by a rim, between their ends; (...)."""
+    legs = np.stack(np.broadcast_arrays(start, end)).reshape(2, -1, 3)
+    block = max(1, _PAIRS // len(surfaces))
+    met = [
+        _any_met(surfaces, legs[0, first : first + block], legs[1, first : first + block], rim_m)
+        for first in range(0, legs.shape[1], block)
+    ]
+    shape = np.broadcast_shapes(np.shape(start), np.shape(end))[:-1]
+    return np.concatenate([np.zeros(0, dtype=bool), *met]).reshape(shape)
+
+
+def _any_met(surfaces: Surfaces, start: Array, end: Array, rim_m: float) -> NDArray[np.bool_]:
+    """:func:`blocked` of legs from (n, 3) to (n, 3), all at once."""
+    towards = end - start
+    slope = towards @ surfaces.normal.T
+    gap = np.sum(surfaces.origin * surfaces.normal, axis=-1) - start @ surfaces.normal.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fraction = gap / slope
+    crossing = np.flatnonzero((fraction > _TIP) & (fraction < 1.0 - _TIP))
+    leg, surface = np.divmod(crossing, len(surfaces))
+    share = fraction.ravel()[crossing]
+    margin = rim_m * np.linalg.norm(towards, axis=-1)[leg] / np.abs(slope.ravel()[crossing])
+    met = np.ones(len(crossing), dtype=bool)
+    for side in range(2):
+        axes = surfaces.sides[:, side]
+        at = (start @ axes.T - np.sum(surfaces.origin * axes, axis=-1)).ravel()[crossing]
+        along = at + share * (towards @ axes.T).ravel()[crossing]
+        met &= (along >= -margin) & (along <= surfaces.lengths[surface, side] + margin)
+    result = np.zeros(len(start), dtype=bool)
+    result[leg[met]] = True
+    return result

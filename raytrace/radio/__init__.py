@@ -1,0 +1,1 @@
+"""Propagation paths to what radios receive: antennas, channels, echoes, impairments."""
