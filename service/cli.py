@@ -103,7 +103,7 @@ def demo(
 ) -> None:
     """Trace a room while an agent walks through it, map it blindly, compare with the truth."""
     from raytrace.dataset.generate import generate
-    from raytrace.plan.floorplan import load_floorplan
+    from raytrace.plan.files import load_floorplan
     from service.demo import claim_folder, new_folder, run_demo
     from service.report import print_evaluation
 
@@ -186,7 +186,7 @@ def plot(
 def _room(scene: str) -> Room:
     """The room of a scene, as geometry alone."""
     from estimator.experiments.room import make_room
-    from raytrace.plan.floorplan import load_floorplan
+    from raytrace.plan.files import load_floorplan
 
     plan = load_floorplan(scene)
     step_s = plan.agent.step_m / plan.agent.speed_m_s

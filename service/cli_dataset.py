@@ -82,7 +82,7 @@ def trace(
     from raytrace.dataset.generate import generate_part
     from raytrace.dataset.output import Output
     from raytrace.dataset.workers import workers
-    from raytrace.plan.floorplan import load_floorplan
+    from raytrace.plan.files import load_floorplan
 
     plan = load_floorplan(scene)
     output = Output(shard_epochs, content, licence)
@@ -132,7 +132,7 @@ def merge(
 ) -> None:
     """Put parts together that were traced apart."""
     from raytrace.dataset.merge import merge as run
-    from raytrace.plan.floorplan import load_floorplan
+    from raytrace.plan.files import load_floorplan
 
     run(load_floorplan(scene), parts, out)
 

@@ -41,8 +41,8 @@ def _say(text: str) -> None:
 @_scene.command(epilog=_examples("check l-room", "check my-plan.toml --json"))
 def check(scene: Scene, as_json: Json = False) -> None:
     """Check a floor plan and say what it amounts to."""
-    from raytrace.plan.files import floorplan_summary
-    from raytrace.plan.floorplan import load_floorplan
+    from raytrace.plan.files import load_floorplan
+    from raytrace.propagation.plan_summary import floorplan_summary
 
     summary = floorplan_summary(load_floorplan(scene))
     if as_json:
@@ -75,7 +75,7 @@ def show(
     """Draw a floor plan; with the power everywhere, or with the paths at an epoch."""
     from estimator.errors import ConfigurationError
     from raytrace.pictures.plans import draw_coverage, draw_paths, draw_plan
-    from raytrace.plan.floorplan import load_floorplan
+    from raytrace.plan.files import load_floorplan
 
     if coverage and paths is not None:
         raise ConfigurationError("expected --coverage or --paths, got both")
@@ -104,11 +104,11 @@ def random_(
     """Make a random floor plan with anchors and a walk."""
     import numpy as np
 
-    from raytrace.plan.files import save_floorplan
+    from raytrace.plan.files import save_floorplan, updated
     from raytrace.plan.random_plans import random_plan
 
     plan = random_plan(kind, np.random.default_rng(seed))  # type: ignore[arg-type]  # it checks
-    save_floorplan(plan.updated({"name": out.stem[:100]}), out)
+    save_floorplan(updated(plan, {"name": out.stem[:100]}), out)
     _say(f"{out}: {len(plan.walls)} walls, {len(plan.anchors)} anchors, {plan.agent.epochs} epochs")
 
 

@@ -29,6 +29,7 @@ from raytrace.dataset.output import Output
 from raytrace.dataset.shard_task import Progress
 from raytrace.dataset.shards import stored_plan
 from raytrace.dataset.workers import Workers
+from raytrace.plan.files import updated
 from raytrace.propagation.backend import prepare
 
 __all__ = ["append"]
@@ -70,7 +71,7 @@ def append(path: Path, epochs: int, progress: Progress | None = None, crew: Work
         if complete and epochs <= known:
             raise ConfigurationError(f"epochs: expected more than the {known} that {path} has, got {epochs}")
         begun = stored_plan(read_netcdf(path / "truth.nc", f"{FORMAT}/truth", VERSION))
-        plan = begun.updated({"agent.epochs": epochs})
+        plan = updated(begun, {"agent.epochs": epochs})
         stored = Output(**{**manifest["output"], "joints": joints})
         output = replace(stored, joints=(*joints, known)) if complete else stored
         goal = head(plan, int(manifest["seed"]), output, prepare().version)

@@ -31,7 +31,8 @@ from raytrace.dataset.output import Output
 from raytrace.dataset.shard_task import Progress
 from raytrace.dataset.workers import Workers
 from raytrace.plan.errors import one_line
-from raytrace.plan.floorplan import FloorPlan, load_floorplan
+from raytrace.plan.files import load_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.links import Part
 
 __all__ = ["Campaign", "Setup", "load_campaign", "run_campaign"]
@@ -140,7 +141,7 @@ def _runs(campaign: Campaign, folder: Path) -> Iterator[_Run]:
         beside = folder / scene
         plan = load_floorplan(beside if beside.is_file() else scene)
         for setup in campaign.setups or (None,):
-            changed = plan if setup is None else plan.updated(setup.set)
+            changed = plan if setup is None else updated(plan, setup.set)
             stem = Path(scene).stem if setup is None else f"{Path(scene).stem}-{setup.name}"
             for seed in campaign.seeds:
                 yield _Run(f"{stem}-seed{seed}", changed, seed)

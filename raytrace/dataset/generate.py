@@ -120,7 +120,7 @@ def generate_part(
     resume: bool = False,
     crew: Workers | None = None,
 ) -> None:
-    """Make every ``n``-th shard of a dataset and leave it incomplete, for :func:`raytrace.dataset.merge.merge`.
+    """Make every ``n``-th shard of a dataset, for :func:`raytrace.dataset.merge.merge` to complete.
 
     Parameters
     ----------

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from estimator.errors import FileFormatError
 from estimator.geometry import vrp_of_line
 from estimator.waveform import impulse_response
-from raytrace.plan.floorplan import FloorPlan, parse_floorplan
+from raytrace.plan.files import parse_floorplan
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.paths import DIFFRACTION, NO_INTERACTION, NO_SURFACE, REFRACTION, SPECULAR, PathSet
 from raytrace.radio.reception import doppler_hz
 

@@ -26,7 +26,8 @@ from raytrace.importers.joins import join_ends
 from raytrace.importers.mesh import read_ply
 from raytrace.importers.mitsuba import read_mitsuba
 from raytrace.importers.options import ImportOptions
-from raytrace.plan.floorplan import FORMAT, VERSION, FloorPlan, parse_floorplan
+from raytrace.plan.files import parse_floorplan
+from raytrace.plan.floorplan import FORMAT, VERSION, FloorPlan
 from raytrace.plan.placement import Walk, place_anchors, plan_walk
 
 __all__ = ["SUFFIXES", "Imported", "floorplan_of", "import_floorplan", "read_drawing"]

@@ -1,24 +1,137 @@
-"""Floor plans written as TOML, the JSON Schema of their format, and what a plan amounts to."""
+"""Floor plans from TOML files and to them, checked on reading, and the JSON Schema of their format.
+
+:func:`load_floorplan` reads a file or one of the shipped scenes; whatever is wrong with it
+is told in one line that names the file, the field, what was expected and what came.
+"""
 
 from __future__ import annotations
 
-from collections import Counter
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-import numpy as np
-import shapely
 import tomli_w
+from pydantic import ValidationError
 
 from estimator.dataset import require_absent, write_text
-from estimator.waveform import SPEED_OF_LIGHT_M_S
+from estimator.errors import InputError
+from raytrace.plan.checks import PlanFault, check_plan
+from raytrace.plan.errors import one_line
 from raytrace.plan.floorplan import FORMAT, VERSION, FloorPlan
-from raytrace.plan.placement import enclosed
-from raytrace.propagation.images import image_paths
+from raytrace.plan.links import Part
 
-__all__ = ["floorplan_schema", "floorplan_summary", "save_floorplan"]
+__all__ = [
+    "FloorPlanError",
+    "floorplan_schema",
+    "load_floorplan",
+    "parse_floorplan",
+    "save_floorplan",
+    "shipped_scenes",
+    "updated",
+]
 
-_SNAP_M = 1e-3
+
+class FloorPlanError(InputError):
+    """A floor plan is missing, cannot be parsed, or describes something impossible."""
+
+
+def parse_floorplan(data: Mapping[str, Any], source: str = "floor plan") -> FloorPlan:
+    """Build a plan from the contents of a TOML file and check that it makes sense.
+
+    Parameters
+    ----------
+    data : mapping
+        What :mod:`tomllib` returns.
+    source : str
+        The file's name, for messages.
+
+    Raises
+    ------
+    FloorPlanError
+        In one line: the file, the field, what was expected, and what came.
+    """
+    for key, wanted in (("format", FORMAT), ("version", VERSION)):
+        if key not in data or data[key] != wanted or isinstance(data[key], bool):
+            came = repr(data[key]) if key in data else "nothing"
+            raise FloorPlanError(f"{source}: {key}: expected {wanted!r}, got {came}")
+    if data.get("floor", 0) is None or data.get("ceiling", 0) is None:
+        data = {key: value for key, value in data.items() if value is not None}
+    try:
+        plan = FloorPlan.model_validate(dict(data))
+    except ValidationError as error:
+        raise FloorPlanError(f"{source}: {one_line(error)}") from error
+    try:
+        check_plan(plan)
+    except PlanFault as fault:
+        raise FloorPlanError(f"{source}: {fault}") from fault
+    return plan
+
+
+def load_floorplan(path_or_name: str | Path) -> FloorPlan:
+    """Read a plan from a TOML file, or a shipped scene by its name (``"l-room"``).
+
+    Raises
+    ------
+    FloorPlanError
+        If there is no such file or scene, it is no TOML, or the plan is not valid.
+    """
+    path = Path(path_or_name)
+    if not path.is_file() and str(path_or_name) in shipped_scenes():
+        path = _scene_folder() / f"{path_or_name}.toml"
+    if not path.is_file():
+        names = ", ".join(shipped_scenes())
+        raise FloorPlanError(
+            f"{path_or_name}: expected a floor plan file or one of {names}; nothing is there"
+        )
+    try:
+        with path.open("rb") as stream:
+            data = tomllib.load(stream)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise FloorPlanError(f"{path}: expected a TOML file, could not read it: {error}") from error
+    return parse_floorplan(data, source=str(path))
+
+
+def shipped_scenes() -> tuple[str, ...]:
+    """Names of the scenes that come with the package, sorted."""
+    return tuple(sorted(path.stem for path in _scene_folder().glob("*.toml")))
+
+
+def _scene_folder() -> Path:
+    """The installed package holds its scenes; a source tree has them at its root."""
+    packaged = Path(str(resources.files("raytrace"))) / "scenes"
+    return packaged if packaged.is_dir() else packaged.parent.parent / "scenes"
+
+
+def updated(plan: FloorPlan, changes: Mapping[str, Any]) -> FloorPlan:
+    """A validated copy with some values changed, keyed by dotted names.
+
+    Parameters
+    ----------
+    plan : FloorPlan
+        The plan.
+    changes : mapping
+        For example ``{"agent.epochs": 20, "echo.model": "radar-equation"}``.
+
+    Raises
+    ------
+    FloorPlanError
+        If a name is unknown or the changed plan is not valid.
+    """
+    data = plan.model_dump(mode="json")
+    for dotted, value in changes.items():
+        *parents, last = dotted.split(".")
+        node, part = data, cast(Any, plan)
+        for parent in parents:
+            part = getattr(part, parent, None)
+            if isinstance(part, (Part, dict)):
+                node.setdefault(parent, {})
+            if not isinstance(node.get(parent), dict):
+                raise FloorPlanError(f"{plan.name}: {dotted}: expected the name of a value, got {parent!r}")
+            node = node[parent]
+        node[last] = value
+    return parse_floorplan(data, source=plan.name)
 
 
 def save_floorplan(plan: FloorPlan, path: Path) -> None:
@@ -46,101 +159,3 @@ def floorplan_schema() -> dict[str, Any]:
         **schema,
         "title": f"{FORMAT}, version {VERSION}",
     }
-
-
-def floorplan_summary(plan: FloorPlan) -> dict[str, Any]:
-    """What a valid plan amounts to, and what is odd about it.
-
-    Returns
-    -------
-    dict
-        ``name``, ``walls``, ``wall_length_m``, ``materials`` (walls of each),
-        ``area_m2``, ``anchors``, ``epochs``, ``track_m`` (length),
-        ``line_of_sight`` (share of the epochs at which each anchor is seen),
-        ``surfaces``, ``sha256`` and ``warnings`` (texts); ``agents`` (names) and ``targets`` if
-        there are several, or any.
-    """
-    start, end = plan.walls_m()
-    track = plan.track()
-    seen = image_paths(plan, depth=0).valid[:, :, 0].mean(axis=0)
-    names = [anchor.name for anchor in plan.anchors]
-    room = enclosed(start, end)
-    lengths = np.linalg.norm(end - start, axis=1)
-    return {
-        "name": plan.name,
-        "walls": len(plan.walls),
-        "wall_length_m": round(float(lengths.sum()), 3),
-        "materials": dict(Counter(wall.material for wall in plan.walls)),
-        "area_m2": round(float(room.area), 3),
-        "surfaces": len(plan.surface_names),
-        "anchors": len(names),
-        "line_of_sight": {n: round(float(share), 3) for n, share in zip(names, seen, strict=True)},
-        "epochs": plan.agent.epochs,
-        **({"agents": list(plan.by_agent())} if plan.agents else {}),
-        **({"targets": len(plan.targets)} if plan.targets else {}),
-        "track_m": round(float(np.linalg.norm(np.diff(track, axis=0), axis=1).sum()), 3),
-        "sha256": plan.sha256(),
-        "warnings": [*_overlaps(plan), *_loose_ends(plan), *_unseen(names, seen), *_radio(plan)],
-    }
-
-
-def _overlaps(plan: FloorPlan) -> list[str]:
-    """Walls that lie on one another: which of them a ray meets is left to chance."""
-    start, end = plan.walls_m()
-    lines = shapely.linestrings(np.stack([start, end], axis=1))
-    tree = shapely.STRtree(lines)
-    found = []
-    for one, other in tree.query(lines, predicate="dwithin", distance=_SNAP_M).T:
-        if one < other:
-            shared = shapely.intersection(shapely.buffer(lines[one], _SNAP_M, cap_style="flat"), lines[other])
-            if shapely.length(shared) > 10 * _SNAP_M:
-                names = plan.walls[one].name, plan.walls[other].name
-                found.append(f"walls {names[0]!r} and {names[1]!r} lie on one another")
-    return found
-
-
-def _loose_ends(plan: FloorPlan) -> list[str]:
-    """Ends that stop short of a wall by less than a hand's breadth: probably drawn to touch it."""
-    start, end = plan.walls_m()
-    lines = shapely.linestrings(np.stack([start, end], axis=1))
-    found = []
-    for index, wall in enumerate(plan.walls):
-        for x, y in (wall.from_m, wall.to_m):
-            distance = shapely.distance(shapely.Point(x, y), lines)
-            distance[index] = np.inf
-            nearest = int(np.argmin(distance))
-            if _SNAP_M < distance[nearest] < 0.1:
-                found.append(
-                    f"wall {wall.name!r} ends {distance[nearest]:.3g} m from {plan.walls[nearest].name!r}"
-                )
-    return found
-
-
-def _unseen(names: list[str], seen: np.ndarray[Any, np.dtype[np.float64]]) -> list[str]:
-    return [
-        f"anchor {name!r} is never in the agent's line of sight"
-        for name, share in zip(names, seen, strict=True)
-        if share == 0.0
-    ]
-
-
-def _radio(plan: FloorPlan) -> list[str]:
-    """Clocks and speeds that make the channels ambiguous."""
-    grid, found = plan.radio.grid(), []
-    error_s = float(np.abs(plan.clock_errors_s()).max())
-    unambiguous_s = 0.5 / grid.tone_spacing_hz
-    if error_s > unambiguous_s:
-        found.append(f"clocks differ by {error_s:.3g} s, delays are unambiguous within {unambiguous_s:.3g} s")
-    doppler_hz = plan.agent.speed_m_s * grid.carrier_hz / SPEED_OF_LIGHT_M_S
-    integrated_s = plan.radio.symbols / plan.radio.subcarrier_spacing_hz
-    if doppler_hz * integrated_s > 0.25:
-        found.append(
-            f"at {plan.agent.speed_m_s:g} m/s a path turns by {doppler_hz * integrated_s:.2g} turns "
-            f"within the {plan.radio.symbols} symbols that a channel integrates, as if it stood"
-        )
-    if doppler_hz * plan.radio.snapshot_interval_s > 0.5 and plan.radio.snapshots > 1:
-        found.append(
-            f"Doppler shifts up to {doppler_hz:.3g} Hz are ambiguous with snapshots "
-            f"{plan.radio.snapshot_interval_s:g} s apart"
-        )
-    return found

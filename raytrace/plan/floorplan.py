@@ -1,30 +1,20 @@
-"""Floor plans: a versioned TOML file in metres, read into frozen models and validated.
+"""Floor plans as frozen models, metres: where walls, anchors and the agent are and how they signal.
 
-A plan says where the walls, the anchors and the agent are and how they signal. The
-plan frame is right-handed, z up from the floor; azimuths count counter-clockwise
-from its x axis. :func:`load_floorplan` reads a file or one of the shipped scenes;
-whatever is wrong with it is told in one line that names the file, the field, what
-was expected and what came.
+The plan frame is right-handed, z up from the floor; azimuths count counter-clockwise
+from its x axis. :mod:`raytrace.plan.files` reads, checks and writes plans.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
-from collections.abc import Mapping
-from importlib import resources
-from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from estimator.errors import InputError
-from raytrace.plan.checks import PlanFault, check_plan
 from raytrace.plan.devices import Agent, Anchor, FurtherAgent, Name, Target
-from raytrace.plan.errors import one_line
 from raytrace.plan.links import Echo, Part, Radio, added
 from raytrace.plan.materials import permittivity, relative_permittivity
 from raytrace.plan.surfaces import Fraction, Material, ScatteringPattern, Slab, Wall
@@ -34,22 +24,14 @@ __all__ = [
     "Agent",
     "Anchor",
     "FloorPlan",
-    "FloorPlanError",
     "Slab",
     "Target",
     "Tracing",
     "Wall",
-    "load_floorplan",
-    "parse_floorplan",
-    "shipped_scenes",
 ]
 
 FORMAT = "hapslam-floorplan"
 VERSION = 1
-
-
-class FloorPlanError(InputError):
-    """A floor plan is missing, cannot be parsed, or describes something impossible."""
 
 
 class Tracing(Part):
@@ -81,7 +63,7 @@ class Tracing(Part):
 
 
 class FloorPlan(Part):
-    """A whole plan. Build one with :func:`load_floorplan` or :func:`parse_floorplan`."""
+    """A whole plan. Build one with :func:`~raytrace.plan.files.load_floorplan`."""
 
     format: Literal["hapslam-floorplan"]
     version: Literal[1]
@@ -227,99 +209,3 @@ class FloorPlan(Part):
     def sha256(self) -> str:
         """Hash of :meth:`canonical_json`; two spellings of one plan have the same hash."""
         return hashlib.sha256(self.canonical_json().encode("utf-8")).hexdigest()
-
-    def updated(self, changes: Mapping[str, Any]) -> FloorPlan:
-        """A validated copy with some values changed, keyed by dotted names.
-
-        Parameters
-        ----------
-        changes : mapping
-            For example ``{"agent.epochs": 20, "echo.model": "radar-equation"}``.
-
-        Raises
-        ------
-        FloorPlanError
-            If a name is unknown or the changed plan is not valid.
-        """
-        data = self.model_dump(mode="json")
-        for dotted, value in changes.items():
-            *parents, last = dotted.split(".")
-            node, part = data, cast(Any, self)
-            for parent in parents:
-                part = getattr(part, parent, None)
-                if isinstance(part, (Part, dict)):
-                    node.setdefault(parent, {})
-                if not isinstance(node.get(parent), dict):
-                    raise FloorPlanError(
-                        f"{self.name}: {dotted}: expected the name of a value, got {parent!r}"
-                    )
-                node = node[parent]
-            node[last] = value
-        return parse_floorplan(data, source=self.name)
-
-
-def parse_floorplan(data: Mapping[str, Any], source: str = "floor plan") -> FloorPlan:
-    """Build a plan from the contents of a TOML file and check that it makes sense.
-
-    Parameters
-    ----------
-    data : mapping
-        What :mod:`tomllib` returns.
-    source : str
-        The file's name, for messages.
-
-    Raises
-    ------
-    FloorPlanError
-        In one line: the file, the field, what was expected, and what came.
-    """
-    for key, wanted in (("format", FORMAT), ("version", VERSION)):
-        if key not in data or data[key] != wanted or isinstance(data[key], bool):
-            came = repr(data[key]) if key in data else "nothing"
-            raise FloorPlanError(f"{source}: {key}: expected {wanted!r}, got {came}")
-    if data.get("floor", 0) is None or data.get("ceiling", 0) is None:
-        data = {key: value for key, value in data.items() if value is not None}
-    try:
-        plan = FloorPlan.model_validate(dict(data))
-    except ValidationError as error:
-        raise FloorPlanError(f"{source}: {one_line(error)}") from error
-    try:
-        check_plan(plan)
-    except PlanFault as fault:
-        raise FloorPlanError(f"{source}: {fault}") from fault
-    return plan
-
-
-def load_floorplan(path_or_name: str | Path) -> FloorPlan:
-    """Read a plan from a TOML file, or a shipped scene by its name (``"l-room"``).
-
-    Raises
-    ------
-    FloorPlanError
-        If there is no such file or scene, it is no TOML, or the plan is not valid.
-    """
-    path = Path(path_or_name)
-    if not path.is_file() and str(path_or_name) in shipped_scenes():
-        path = _scene_folder() / f"{path_or_name}.toml"
-    if not path.is_file():
-        names = ", ".join(shipped_scenes())
-        raise FloorPlanError(
-            f"{path_or_name}: expected a floor plan file or one of {names}; nothing is there"
-        )
-    try:
-        with path.open("rb") as stream:
-            data = tomllib.load(stream)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FloorPlanError(f"{path}: expected a TOML file, could not read it: {error}") from error
-    return parse_floorplan(data, source=str(path))
-
-
-def shipped_scenes() -> tuple[str, ...]:
-    """Names of the scenes that come with the package, sorted."""
-    return tuple(sorted(path.stem for path in _scene_folder().glob("*.toml")))
-
-
-def _scene_folder() -> Path:
-    """The installed package holds its scenes; a source tree has them at its root."""
-    packaged = Path(str(resources.files("raytrace"))) / "scenes"
-    return packaged if packaged.is_dir() else packaged.parent.parent / "scenes"

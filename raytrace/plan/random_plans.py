@@ -14,7 +14,8 @@ import numpy as np
 
 from estimator.errors import ConfigurationError
 from estimator.geometry import rotate
-from raytrace.plan.floorplan import FORMAT, VERSION, FloorPlan, parse_floorplan
+from raytrace.plan.files import parse_floorplan
+from raytrace.plan.floorplan import FORMAT, VERSION, FloorPlan
 from raytrace.plan.placement import place_anchors, plan_walk
 from raytrace.plan.trajectory import smoothed_track
 

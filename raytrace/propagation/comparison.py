@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
+from raytrace.propagation.directions import directions_of
 from raytrace.propagation.images import image_paths
 from raytrace.propagation.passive import LEG_M, RIM_M
-from raytrace.propagation.paths import NO_SURFACE, PathList, directions_of
+from raytrace.propagation.paths import NO_SURFACE, PathList
 
 __all__ = ["Comparison", "compare"]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.materials import slab_reflection
-from raytrace.radio.antennas import spherical_basis
+from raytrace.propagation.directions import spherical_basis
 
 __all__ = ["specular_amplitude", "specular_transfer"]
 

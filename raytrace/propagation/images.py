@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
+from raytrace.propagation.directions import angles_of
 from raytrace.propagation.fields import specular_amplitude
-from raytrace.propagation.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathList, PathSet, angles_of
+from raytrace.propagation.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathList, PathSet
 
 __all__ = ["Surfaces", "blocked", "image_paths", "mirrored", "surfaces_of"]
 

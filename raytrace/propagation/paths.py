@@ -22,30 +22,11 @@ __all__ = [
     "SPECULAR",
     "PathList",
     "PathSet",
-    "angles_of",
-    "directions_of",
 ]
 
 NO_SURFACE = -1
 # What a path does at a surface; numbers as those of Sionna RT.
 NO_INTERACTION, SPECULAR, DIFFUSE, REFRACTION, DIFFRACTION = 0, 1, 2, 4, 8
-
-
-def angles_of(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Azimuth in (-pi, pi] and elevation above the horizontal of vectors (..., 3), radians."""
-    azimuth = np.arctan2(vectors[..., 1], vectors[..., 0])
-    elevation = np.arctan2(vectors[..., 2], np.hypot(vectors[..., 0], vectors[..., 1]))
-    return azimuth, elevation
-
-
-def directions_of(
-    azimuth_rad: NDArray[np.float64], elevation_rad: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Unit vectors (..., 3) of azimuths and elevations, radians; the inverse of :func:`angles_of`."""
-    level = np.cos(elevation_rad)
-    return np.stack(
-        [level * np.cos(azimuth_rad), level * np.sin(azimuth_rad), np.sin(elevation_rad)], axis=-1
-    )
 
 
 @dataclass(frozen=True, eq=False)

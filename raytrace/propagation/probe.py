@@ -6,7 +6,7 @@ import json
 import time
 from typing import Any
 
-from raytrace.plan.floorplan import parse_floorplan
+from raytrace.plan.files import parse_floorplan
 from raytrace.propagation.backend import prepare
 from raytrace.propagation.passive import trace_passive
 

@@ -3,8 +3,8 @@
 Surfaces of one material and thickness share one mesh (a solve costs time per object,
 not per wall); which wall a triangle belongs to follows from its number. For diffraction,
 walls of one mesh that meet share the vertices of the corner. Geometry is that of
-:func:`raytrace.propagation.images.surfaces_of`. Call :func:`raytrace.propagation.backend.prepare` before; this
-module imports the ray tracer when its functions run.
+:func:`raytrace.propagation.images.surfaces_of`. Call :func:`raytrace.propagation.backend.prepare`
+before; this module imports the ray tracer when its functions run.
 
 Specular paths are looked for in a scene that is stretched upwards until it is as high as it is wide.
 Mirrors that stand or lie send an image the same way in both, so every path has its counterpart, with

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.arrays import element_gain
-from raytrace.propagation.paths import angles_of
+from raytrace.propagation.directions import angles_of, spherical_basis
 
-__all__ = ["Element", "Pattern", "Polarization", "mounted", "spherical_basis"]
+__all__ = ["Element", "Pattern", "Polarization", "mounted"]
 
 Array = NDArray[np.float64]
 Pattern = Literal["iso", "dipole", "hw_dipole", "tr38901"]
@@ -87,12 +87,3 @@ def mounted(azimuth_rad: ArrayLike, downtilt_rad: ArrayLike = 0.0) -> Array:
     c, s, ct, st = np.cos(azimuth), np.sin(azimuth), np.cos(tilt), np.sin(tilt)
     rows = [[c * ct, -s, c * st], [s * ct, c, s * st], [-st, np.zeros_like(c), ct]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def spherical_basis(directions: Array) -> Array:
-    """Zenith and azimuth unit vectors of directions (..., 3), shape (..., 2, 3)."""
-    azimuth, elevation = angles_of(directions)
-    c, s = np.cos(azimuth), np.sin(azimuth)
-    rise, level = np.sin(elevation), np.cos(elevation)
-    zenith = np.stack([rise * c, rise * s, -level], axis=-1)
-    return np.stack([zenith, np.stack([-s, c, np.zeros_like(c)], axis=-1)], axis=-2)

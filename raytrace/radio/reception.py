@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
-from raytrace.propagation.paths import PathSet, angles_of, directions_of
+from raytrace.propagation.directions import angles_of, directions_of
+from raytrace.propagation.paths import PathSet
 from raytrace.radio.antennas import Element, mounted
 from raytrace.radio.channel import channel_response
 

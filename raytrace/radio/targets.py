@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
+from raytrace.propagation.directions import angles_of
 from raytrace.propagation.images import blocked, surfaces_of
-from raytrace.propagation.paths import DIFFUSE, NO_SURFACE, PathList, angles_of
+from raytrace.propagation.paths import DIFFUSE, NO_SURFACE, PathList
 
 __all__ = ["target_returns"]
 

@@ -54,9 +54,11 @@ def rows(quick: bool) -> Iterator[Row]:
 
 def _passive(positions: int, sample: int) -> Iterator[Row]:
     """Paths of the L-room's walk, two anchors; each depth traced once before, to compile."""
+    from raytrace.plan.files import updated
+
     room = _walked("l-room", positions)
     what = f"{positions} positions x {len(room.anchors)} anchors, image oracle on"
-    ours = {depth: _traced_ms(room.updated({"tracing.depth": depth})) for depth in (1, 2)}
+    ours = {depth: _traced_ms(updated(room, {"tracing.depth": depth})) for depth in (1, 2)}
     naive = _naive_ms(room, sample)
     peer = f"a solver call per position, no oracle (sample of {sample})"
     yield Row(f"{_PATHS}, depth 1: {what}", ours[1], "ms", naive / _TIMES_FASTER, peer, naive)
@@ -65,7 +67,7 @@ def _passive(positions: int, sample: int) -> Iterator[Row]:
 
 def _scenes(positions: int) -> Iterator[Row]:
     """Paths of the other shipped scenes, depth 2."""
-    from raytrace.plan.floorplan import shipped_scenes
+    from raytrace.plan.files import shipped_scenes
 
     for name in shipped_scenes():
         if name != "l-room":
@@ -76,11 +78,11 @@ def _scenes(positions: int) -> Iterator[Row]:
 
 def _walked(name: str, positions: int) -> FloorPlan:
     """A shipped scene with so many positions at equal steps on its walk, depth 2."""
-    from raytrace.plan.floorplan import load_floorplan
+    from raytrace.plan.files import load_floorplan, updated
 
     plan = load_floorplan(name)
     step = plan.agent.step_m * (plan.agent.epochs - 1) / positions
-    return plan.updated({"agent.epochs": positions, "agent.step_m": step, "tracing.depth": 2})
+    return updated(plan, {"agent.epochs": positions, "agent.step_m": step, "tracing.depth": 2})
 
 
 def _traced_ms(plan: FloorPlan) -> float:
@@ -152,7 +154,7 @@ def _generated(positions: int, folder: Path) -> tuple[float, float, float, int]:
 
 def _long_walk(positions: int) -> FloorPlan:
     """The L-room with four anchors, its walk gone to and fro as often as it takes, in steps of 5 cm."""
-    from raytrace.plan.floorplan import load_floorplan
+    from raytrace.plan.files import load_floorplan, updated
 
     room = load_floorplan("l-room")
     way = room.agent.waypoints_m
@@ -160,7 +162,8 @@ def _long_walk(positions: int) -> FloorPlan:
     walk = list(way)
     for lap in range(int(positions * _STEP_M / once_m) + 1):
         walk += (way[::-1] if lap % 2 == 0 else way)[1:]
-    return room.updated(
+    return updated(
+        room,
         {
             "name": "l-room-long",
             "anchors": [
@@ -170,7 +173,7 @@ def _long_walk(positions: int) -> FloorPlan:
             "agent.waypoints_m": walk,
             "agent.step_m": _STEP_M,
             "agent.epochs": positions,
-        }
+        },
     )
 
 

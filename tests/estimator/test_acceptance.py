@@ -13,7 +13,8 @@ from estimator.extract import extract_epochs, sense_walls
 from estimator.geometry import rotate, vrp_of_line
 from raytrace.dataset.generate import generate
 from raytrace.dataset.shards import stored_paths
-from raytrace.plan.floorplan import FloorPlan, load_floorplan
+from raytrace.plan.files import load_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
 from tests.estimator.test_extract import Matched, match
 
 SEEDS = 10
@@ -26,7 +27,7 @@ def plan_of(floor: bool, epochs: int | None = None) -> FloorPlan:
     if floor:
         plan = plan.model_copy(update={"scattering": load_floorplan("l-room").scattering})
     changes = {"tracing.depth": 3, **({} if epochs is None else {"agent.epochs": epochs})}
-    return plan.updated(changes)
+    return updated(plan, changes)
 
 
 def delays(plan: FloorPlan, folder: Path) -> Matched:

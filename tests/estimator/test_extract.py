@@ -22,7 +22,7 @@ from estimator.extract import ExtractConfig, extract, extract_epochs, sense_wall
 from estimator.geometry import vrp_of_line
 from estimator.measurements import Epoch, MeasurementSet, load_measurements, save_measurements
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
-from raytrace.plan.floorplan import load_floorplan
+from raytrace.plan.files import load_floorplan, updated
 from raytrace.propagation.images import image_paths
 from raytrace.propagation.paths import PathSet
 from raytrace.radio.channel import add_noise, channel_response
@@ -298,7 +298,7 @@ def test_directions_of_an_array_are_measured(tmp_path: Path, rows: int) -> None:
         "radio.agent_array.lying": True,
         "radio.subcarriers": 1024,
     }
-    plan = load_floorplan("l-room").updated(changes)
+    plan = updated(load_floorplan("l-room"), changes)
     track = plan.track()[:64:4]
     paths = image_paths(plan, track, depth=1)
     grid, noise = plan.radio.grid(), plan.radio.noise_variance()

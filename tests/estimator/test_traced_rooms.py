@@ -14,7 +14,8 @@ from estimator.extract import extract
 from estimator.measurements import MeasurementSet
 from estimator.slam import run_slam
 from raytrace.dataset.generate import generate
-from raytrace.plan.floorplan import FloorPlan, load_floorplan
+from raytrace.plan.files import load_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
 
 SEEDS = (1, 2, 3)
 OTHER_ANCHORS = {"right": ((75.0, 5.0), (65.0, 55.0)), "below": ((20.0, 36.0), (55.0, 5.0))}
@@ -46,12 +47,12 @@ CASES = {
     "l-room": lambda: load_floorplan("l-room"),
     "glass": lambda: of_material("glass"),
     "plasterboard": lambda: of_material("plasterboard"),
-    "depth 3": lambda: load_floorplan("l-room").updated({"tracing.depth": 3}),
-    "depth 3, glass": lambda: of_material("glass").updated({"tracing.depth": 3}),
+    "depth 3": lambda: updated(load_floorplan("l-room"), {"tracing.depth": 3}),
+    "depth 3, glass": lambda: updated(of_material("glass"), {"tracing.depth": 3}),
     "anchors right": lambda: with_anchors("right"),
     "anchors below": lambda: with_anchors("below"),
-    "zigzag": lambda: load_floorplan("l-room").updated({"agent.waypoints_m": OTHER_PATHS["zigzag"]}),
-    "back": lambda: load_floorplan("l-room").updated({"agent.waypoints_m": OTHER_PATHS["back"]}),
+    "zigzag": lambda: updated(load_floorplan("l-room"), {"agent.waypoints_m": OTHER_PATHS["zigzag"]}),
+    "back": lambda: updated(load_floorplan("l-room"), {"agent.waypoints_m": OTHER_PATHS["back"]}),
     "l-room-hard": lambda: load_floorplan("l-room-hard"),
 }
 

@@ -14,7 +14,8 @@ import pytest
 from estimator.dataset import Dataset
 from raytrace.dataset.generate import generate
 from raytrace.dataset.output import Output
-from raytrace.plan.floorplan import FloorPlan, load_floorplan
+from raytrace.plan.files import load_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.passive import TraceReport, trace_passive
 from raytrace.propagation.paths import PathSet
 from raytrace.propagation.scene import RadioScene, build_scene
@@ -43,8 +44,9 @@ def hard_room() -> Traced:
 @pytest.fixture(scope="session")
 def short_plan() -> FloorPlan:
     """The L-room with forty epochs, three sweeps and two antennas."""
-    return load_floorplan("l-room").updated(
-        {"agent.epochs": 40, "echo.sweep_epochs": [0, 12, 39], "radio.agent_array.elements": 2}
+    return updated(
+        load_floorplan("l-room"),
+        {"agent.epochs": 40, "echo.sweep_epochs": [0, 12, 39], "radio.agent_array.elements": 2},
     )
 
 

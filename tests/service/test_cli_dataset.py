@@ -14,7 +14,7 @@ import scipy.io
 import tomli_w
 
 from estimator.dataset import open_dataset
-from raytrace.plan.floorplan import load_floorplan
+from raytrace.plan.files import load_floorplan, updated
 
 Runner = Callable[..., SimpleNamespace]
 
@@ -22,7 +22,7 @@ Runner = Callable[..., SimpleNamespace]
 @pytest.fixture(scope="module")
 def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The L-room with nine epochs, as a file."""
-    plan = load_floorplan("l-room").updated({"agent.epochs": 9})
+    plan = updated(load_floorplan("l-room"), {"agent.epochs": 9})
     file = tmp_path_factory.mktemp("plan") / "room.toml"
     file.write_text(tomli_w.dumps(plan.model_dump(mode="json", exclude_none=True)))
     return file

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from raytrace.plan.floorplan import load_floorplan
+from raytrace.plan.files import load_floorplan
 from raytrace.plan.random_plans import KINDS
 
 Runner = Callable[..., SimpleNamespace]

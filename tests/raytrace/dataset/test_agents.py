@@ -12,8 +12,9 @@ from estimator.dataset import open_dataset
 from estimator.errors import ConfigurationError, OutputExistsError
 from raytrace.dataset.agents import generate_agents, seed_of
 from raytrace.dataset.generate import generate
-from raytrace.plan.files import floorplan_summary
-from raytrace.plan.floorplan import FloorPlan, load_floorplan, parse_floorplan
+from raytrace.plan.files import load_floorplan, parse_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
+from raytrace.propagation.plan_summary import floorplan_summary
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +61,7 @@ def test_one_dataset_is_of_one_agent(pair: FloorPlan, tmp_path: Path) -> None:
 def test_warnings_of_clocks_and_speeds(pair: FloorPlan) -> None:
     """What makes delays or Doppler shifts ambiguous is told; the shipped plan has nothing of it."""
     assert floorplan_summary(pair)["warnings"] == []
-    wild = pair.updated({"agent.clock.offset_s": 2e-6, "agent.speed_m_s": 40.0, "radio.snapshots": 2})
+    wild = updated(pair, {"agent.clock.offset_s": 2e-6, "agent.speed_m_s": 40.0, "radio.snapshots": 2})
     text = " | ".join(floorplan_summary(wild)["warnings"])
     for part in (
         "clocks differ by 2e-06 s",

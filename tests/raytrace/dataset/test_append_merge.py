@@ -17,7 +17,8 @@ from raytrace.dataset.append import append
 from raytrace.dataset.generate import generate, generate_part
 from raytrace.dataset.merge import merge
 from raytrace.dataset.output import Output
-from raytrace.plan.floorplan import FloorPlan, FloorPlanError
+from raytrace.plan.files import FloorPlanError, updated
+from raytrace.plan.floorplan import FloorPlan
 
 Digests = Callable[[Path], dict[str, str]]
 
@@ -49,7 +50,7 @@ def test_appending_is_a_configuration(
     longer: Path, short_plan: FloorPlan, cut: Output, tmp_path: Path, digests: Digests
 ) -> None:
     """Generated at once with a joint at epoch 40, the dataset has the same bytes."""
-    plan = short_plan.updated({"agent.epochs": 63})
+    plan = updated(short_plan, {"agent.epochs": 63})
     generate(plan, tmp_path / "room", 1, output=replace(cut, joints=(40,)))
     assert digests(tmp_path / "room") == digests(longer)
 
@@ -119,7 +120,7 @@ def test_a_part_goes_on_to_the_whole(
 def test_what_cannot_be_merged(parts: list[Path], short_plan: FloorPlan, cut: Output, tmp_path: Path) -> None:
     """Missing shards, other seeds, another plan, a place that is taken: each is told, nothing is written."""
     generate_part(short_plan, tmp_path / "other", 2, (1, 4), output=cut)
-    moved = short_plan.updated({"agent.height_m": 1.2})
+    moved = updated(short_plan, {"agent.height_m": 1.2})
     for plan, given, words in (
         (short_plan, parts[:2], "1 are in none of them, such as that of epochs 20 to 29"),
         (short_plan, [parts[0], tmp_path / "other"], "it differs in seed"),

@@ -12,7 +12,7 @@ from estimator.dataset import open_dataset
 from estimator.errors import FileFormatError
 from raytrace.dataset.campaign import load_campaign, run_campaign
 from raytrace.dataset.generate import generate
-from raytrace.plan.floorplan import FloorPlanError, load_floorplan
+from raytrace.plan.files import FloorPlanError, load_floorplan, updated
 
 Digests = Callable[[Path], dict[str, str]]
 
@@ -36,7 +36,7 @@ set = {"agent.epochs" = 4, "radio.subcarriers" = 400, "radio.eirp_dbm" = 0.0}
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     """A campaign, with a plan of its own beside it."""
-    plan = load_floorplan("l-room").updated({"name": "mine", "agent.height_m": 1.2})
+    plan = updated(load_floorplan("l-room"), {"name": "mine", "agent.height_m": 1.2})
     (tmp_path / "mine.toml").write_text(tomli_w.dumps(plan.model_dump(mode="json", exclude_none=True)))
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     return tmp_path / "campaign.toml"
@@ -56,7 +56,7 @@ def test_every_combination_is_a_dataset(file: Path, tmp_path: Path, digests: Dig
     manifest = open_dataset(tmp_path / "out" / "mine-quiet-seed4").manifest
     assert (manifest["name"], manifest["seed"], manifest["radio"]["eirp_dbm"]) == ("mine", 4, 0.0)
     assert manifest["output"]["licence"] == "CC0-1.0"
-    plan = load_floorplan("l-room").updated({"agent.epochs": 4, "radio.subcarriers": 400})
+    plan = updated(load_floorplan("l-room"), {"agent.epochs": 4, "radio.subcarriers": 400})
     alone = generate(plan, tmp_path / "alone", 3)
     both = (digests(alone.dataset.path), digests(tmp_path / "out" / "l-room-short-seed3"))
     assert both[0]["passive-00000.nc"] == both[1]["passive-00000.nc"]

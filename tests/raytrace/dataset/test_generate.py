@@ -15,7 +15,8 @@ from estimator.dataset import open_dataset
 from estimator.errors import ConfigurationError, FileFormatError, OutputExistsError
 from estimator.geometry import mirror_in_wall
 from raytrace.dataset.generate import Generated, generate
-from raytrace.plan.floorplan import FloorPlan, load_floorplan, parse_floorplan
+from raytrace.plan.files import load_floorplan, parse_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.images import image_paths
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -32,7 +33,7 @@ IDEAL = {
 @pytest.fixture(scope="module")
 def plan() -> FloorPlan:
     short = {"agent.epochs": 6, "radio.agent_array.elements": 2}
-    return load_floorplan("l-room").updated({**short, **IDEAL})
+    return updated(load_floorplan("l-room"), {**short, **IDEAL})
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +131,7 @@ def test_equal_seeds_give_equal_bytes_in_other_processes(
     code = (
         "import json, sys\n"
         "from pathlib import Path\n"
-        "from raytrace.plan.floorplan import parse_floorplan\n"
+        "from raytrace.plan.files import parse_floorplan\n"
         "from raytrace.dataset.generate import generate\n"
         "plan = parse_floorplan(json.loads(sys.argv[1]))\n"
         "generate(plan, Path(sys.argv[2]), seed=1)\n"
@@ -163,7 +164,7 @@ def test_other_seed_changes_the_noise_alone(made: Generated, plan: FloorPlan, tm
 
 def test_passive_and_echo_noise_are_independent_streams(plan: FloorPlan, tmp_path: Path) -> None:
     """Another kind of sweep changes no channel: the passive noise has its own stream."""
-    other = plan.updated({"echo.model": "radar-equation", "echo.fan_rays": 0})
+    other = updated(plan, {"echo.model": "radar-equation", "echo.fan_rays": 0})
     data = generate(other, tmp_path / "radar", seed=1)
     same = generate(plan, tmp_path / "physical", seed=1)
     np.testing.assert_array_equal(
@@ -176,7 +177,7 @@ def test_passive_and_echo_noise_are_independent_streams(plan: FloorPlan, tmp_pat
 
 def test_impairments_have_streams_of_their_own(made: Generated, plan: FloorPlan, tmp_path: Path) -> None:
     """Jitter delays whole channels and leaves the noise and the echo as they are without it."""
-    late = generate(plan.updated({"radio.timing_jitter_s": 1e-9}), tmp_path / "late", seed=1)
+    late = generate(updated(plan, {"radio.timing_jitter_s": 1e-9}), tmp_path / "late", seed=1)
     one, two = digests(made.dataset.path), digests(late.dataset.path)
     assert one["echo-00000.nc"] == two["echo-00000.nc"]
     assert one["paths-00000.nc"] == two["paths-00000.nc"]
@@ -185,7 +186,7 @@ def test_impairments_have_streams_of_their_own(made: Generated, plan: FloorPlan,
 
 def test_angles_are_in_the_agents_frame(plan: FloorPlan, tmp_path: Path) -> None:
     """Turning the agent turns the arrival angles back, and leaves delays and departures."""
-    turned = generate(plan.updated({"agent.heading_deg": 30.0}), tmp_path / "turned", seed=1)
+    turned = generate(updated(plan, {"agent.heading_deg": 30.0}), tmp_path / "turned", seed=1)
     straight = image_paths(plan)
     (paths,) = turned.dataset.shards("paths")
     valid = paths["path_valid"].values.astype(bool)
@@ -252,7 +253,7 @@ def test_snapshots_clocks_and_turning_in_files(plan: FloorPlan, tmp_path: Path) 
         "radio.timing_jitter_s": 0.0,
         "radio.eirp_dbm": 200.0,
     }
-    moving = plan.updated(changes)
+    moving = updated(plan, changes)
     dataset = generate(moving, tmp_path / "moving", seed=1).dataset
     passive, paths, truth = (next(dataset.shards(kind)) for kind in ("passive", "paths", "truth"))
     assert passive["cfr_re"].dims == ("epoch", "anchor", "snapshot", "antenna", "tone")
@@ -284,7 +285,7 @@ def test_arrays_at_both_ends_in_files(plan: FloorPlan, tmp_path: Path) -> None:
         "radio.agent_array": {"elements": 2, "rows": 2, "polarization": "H"},
         "agent.epochs": 2,
     }
-    dataset = generate(plan.updated(changes), tmp_path / "arrays", seed=1).dataset
+    dataset = generate(updated(plan, changes), tmp_path / "arrays", seed=1).dataset
     passive = next(dataset.shards("passive"))
     assert dict(passive["cfr_re"].sizes) == {
         "epoch": 2, "anchor": 2, "anchor_antenna": 6, "antenna": 4, "tone": 819

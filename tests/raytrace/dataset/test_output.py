@@ -12,7 +12,8 @@ from estimator.errors import ConfigurationError
 from estimator.waveform import frequency_response
 from raytrace.dataset.output import Output
 from raytrace.dataset.shard_task import ShardTask
-from raytrace.plan.floorplan import FloorPlan, load_floorplan
+from raytrace.plan.files import load_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
 
 
 @pytest.mark.parametrize(("epochs", "joints"), [(40, ()), (41, ()), (1, ()), (40, (25,)), (50, (25, 41))])
@@ -30,7 +31,7 @@ def test_shards_are_chosen_to_fit_in_memory() -> None:
     """1024 epochs, or as many as fit 64 MiB of complex channels."""
     plan = load_floorplan("l-room")
     assert Output().chosen(plan).shard_epochs == 1024
-    large = plan.updated({"radio.agent_array.elements": 64})
+    large = updated(plan, {"radio.agent_array.elements": 64})
     chosen = Output().chosen(large).shard_epochs
     assert 0.95 < chosen * 2 * 64 * 819 * 16 / 2**26 <= 1
     assert Output(shard_epochs=7).chosen(large).shard_epochs == 7

@@ -22,6 +22,7 @@ from estimator.errors import ConfigurationError, FileFormatError, OutputExistsEr
 from raytrace.dataset.generate import generate
 from raytrace.dataset.journal import claimed
 from raytrace.dataset.output import Output
+from raytrace.plan.files import updated
 from raytrace.plan.floorplan import FloorPlan
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -136,7 +137,7 @@ def test_going_on_with_something_else_is_refused(
     room = Path(shutil.copytree(sharded.path, tmp_path / "room"))
     within_a_shard(room)
     before = digests(room)
-    louder = short_plan.updated({"radio.eirp_dbm": 30.0})
+    louder = updated(short_plan, {"radio.eirp_dbm": 30.0})
     for plan, seed, output, words in (
         (short_plan, 2, cut, "it differs in seed"),
         (louder, 1, cut, "it differs in scene, radio"),
@@ -206,10 +207,10 @@ def _kills(plan: FloorPlan, folder: Path, kills: int, seed: int, jobs: list[int]
 
 def test_killed_by_the_system(short_plan: FloorPlan, tmp_path: Path, digests: Digests) -> None:
     """SIGKILL at random moments, then on to the same bytes."""
-    _kills(short_plan.updated({"agent.epochs": 60}), tmp_path, 2, 5, [1], digests)
+    _kills(updated(short_plan, {"agent.epochs": 60}), tmp_path, 2, 5, [1], digests)
 
 
 @pytest.mark.soak
 def test_killed_twenty_times(short_plan: FloorPlan, tmp_path: Path, digests: Digests) -> None:
     """The same twenty times on a longer walk, some of them with two workers."""
-    _kills(short_plan.updated({"agent.epochs": 160}), tmp_path, 20, 6, [1, 1, 2], digests)
+    _kills(updated(short_plan, {"agent.epochs": 160}), tmp_path, 20, 6, [1, 1, 2], digests)

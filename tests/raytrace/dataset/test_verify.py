@@ -16,6 +16,7 @@ from estimator.dataset import Dataset, open_dataset
 from estimator.errors import FileFormatError
 from raytrace.dataset.generate import generate
 from raytrace.dataset.verify import verify
+from raytrace.plan.files import updated
 from raytrace.plan.floorplan import FloorPlan
 
 Change = Callable[[xr.Dataset], xr.Dataset]
@@ -58,7 +59,7 @@ def test_a_good_dataset_is_good(sharded: Dataset) -> None:
 
 def test_a_turned_agent_is_no_fault(short_plan: FloorPlan, tmp_path: Path) -> None:
     """Arrivals in the files are in the agent's frame; the check turns them back."""
-    turned = short_plan.updated({"agent.heading_deg": 117.0, "agent.epochs": 3, "echo.sweep_epochs": [0]})
+    turned = updated(short_plan, {"agent.heading_deg": 117.0, "agent.epochs": 3, "echo.sweep_epochs": [0]})
     assert verify(generate(turned, tmp_path / "room", seed=1).dataset).ok
 
 

@@ -15,14 +15,14 @@ from estimator.waveform import SPEED_OF_LIGHT_M_S, free_space_loss_db
 from raytrace.dataset.generate import generate
 from raytrace.pictures.datasets import delay_profile, draw_delay_profile, draw_range_angle, range_angle
 from raytrace.pictures.plans import draw_coverage, draw_paths, draw_plan, path_vertices, received_power
-from raytrace.plan.floorplan import load_floorplan
+from raytrace.plan.files import load_floorplan, updated
 from raytrace.propagation.images import image_paths, surfaces_of
 
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Twelve epochs in the L-room, with two sweeps."""
-    plan = load_floorplan("l-room").updated({"agent.epochs": 12, "echo.sweep_epochs": [0, 11]})
+    plan = updated(load_floorplan("l-room"), {"agent.epochs": 12, "echo.sweep_epochs": [0, 11]})
     out = tmp_path_factory.mktemp("pictures") / "room"
     generate(plan, out, 1)
     return open_dataset(out)
@@ -30,7 +30,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 def test_vertices_are_the_paths() -> None:
     """Legs add up to the delays, bounces lie on their walls, and angles are mirrored there."""
-    plan = load_floorplan("l-room-hard").updated({"tracing.depth": 2})
+    plan = updated(load_floorplan("l-room-hard"), {"tracing.depth": 2})
     track = plan.track()[::50]
     paths = image_paths(plan, track).flat()
     vertices = path_vertices(plan, paths, track)

@@ -11,9 +11,15 @@ import numpy as np
 import pytest
 
 from estimator.errors import OutputExistsError
-from raytrace.plan.files import floorplan_schema, floorplan_summary, save_floorplan
-from raytrace.plan.floorplan import load_floorplan, parse_floorplan, shipped_scenes
+from raytrace.plan.files import (
+    floorplan_schema,
+    load_floorplan,
+    parse_floorplan,
+    save_floorplan,
+    shipped_scenes,
+)
 from raytrace.plan.random_plans import random_plan
+from raytrace.propagation.plan_summary import floorplan_summary
 
 
 def plan_data() -> dict[str, Any]:

@@ -11,7 +11,8 @@ import pytest
 import tomli_w
 
 from estimator.errors import InputError
-from raytrace.plan.floorplan import FloorPlan, FloorPlanError, load_floorplan, parse_floorplan, shipped_scenes
+from raytrace.plan.files import FloorPlanError, load_floorplan, parse_floorplan, shipped_scenes, updated
+from raytrace.plan.floorplan import FloorPlan
 
 
 @pytest.fixture(scope="module")
@@ -80,14 +81,14 @@ def test_load_by_path_and_by_name_agree(room: FloorPlan, tmp_path: Path) -> None
 
 def test_hash_sees_every_change(room: FloorPlan) -> None:
     """Moving one wall by a millimetre changes the hash; spelling out a default does not."""
-    moved = room.updated({"agent.height_m": 1.501})
+    moved = updated(room, {"agent.height_m": 1.501})
     assert moved.sha256() != room.sha256()
-    assert room.updated({"agent.height_m": 1.5}).sha256() == room.sha256()
+    assert updated(room, {"agent.height_m": 1.5}).sha256() == room.sha256()
 
 
 def test_updated_validates(room: FloorPlan) -> None:
     """Changes by dotted names are checked like a file, unknown names included."""
-    short = room.updated({"agent.epochs": 20, "echo.model": "radar-equation"})
+    short = updated(room, {"agent.epochs": 20, "echo.model": "radar-equation"})
     assert short.track().shape == (20, 3)
     assert short.echo.model == "radar-equation"
     for changes, message in (
@@ -96,7 +97,7 @@ def test_updated_validates(room: FloorPlan) -> None:
         ({"agent.epochs": 2000}, r"agent\.epochs: expected at most \d+ positions 0\.5 m apart"),
     ):
         with pytest.raises(FloorPlanError, match=message):
-            room.updated(changes)
+            updated(room, changes)
 
 
 def chair(**changes: Any) -> dict[str, Any]:

@@ -10,8 +10,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from raytrace.plan.files import floorplan_schema, floorplan_summary
-from raytrace.plan.floorplan import FloorPlan, load_floorplan, parse_floorplan
+from raytrace.plan.files import floorplan_schema, load_floorplan, parse_floorplan
+from raytrace.plan.floorplan import FloorPlan
+from raytrace.propagation.plan_summary import floorplan_summary
 
 PAGE = (Path(__file__).parents[3] / "docs" / "physics.md").read_text(encoding="utf-8")
 

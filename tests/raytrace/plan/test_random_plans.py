@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from estimator.errors import ConfigurationError, InputError
-from raytrace.plan.files import floorplan_summary
+from raytrace.plan.files import updated
 from raytrace.plan.placement import enclosed, place_anchors, plan_walk
 from raytrace.plan.random_plans import KINDS, Kind, random_plan
 from raytrace.plan.trajectory import smoothed_track
 from raytrace.propagation.comparison import compare
 from raytrace.propagation.passive import trace_passive
+from raytrace.propagation.plan_summary import floorplan_summary
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -51,7 +52,7 @@ def test_kinds_have_what_they_promise() -> None:
 def test_no_path_is_lost(kind: Kind) -> None:
     """The tracer finds all paths of the image method up to two bounces, and no other."""
     plan = random_plan(kind, np.random.default_rng(11), most_epochs=40)
-    _, report = trace_passive(plan.updated({"tracing.depth": 2}))
+    _, report = trace_passive(updated(plan, {"tracing.depth": 2}))
     assert (report.missing, report.extra) == (0, 0)
     assert report.found > 100
 
@@ -67,7 +68,7 @@ def test_fifty_plans_are_traced(kind: Kind, seed: int) -> None:
     for depth in (1, 2, 3):
         epochs = 24 if depth == 3 else 60
         plan = random_plan(kind, np.random.default_rng(1000 + seed), most_epochs=epochs)
-        plan = plan.updated({"tracing.depth": depth})
+        plan = updated(plan, {"tracing.depth": depth})
         paths, report = trace_passive(plan)
         result = compare(plan, plan.track(), paths.flat())
         print(kind, seed, depth, report.as_dict(), {**result.as_dict(), "named": ()})  # noqa: T201

@@ -11,7 +11,8 @@ from scipy.special import fresnel
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.dataset.generate import generate
 from raytrace.dataset.verify import verify
-from raytrace.plan.floorplan import FloorPlan, load_floorplan, parse_floorplan
+from raytrace.plan.files import load_floorplan, parse_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.materials import slab_reflection, slab_transmission
 from raytrace.propagation.passive import trace_bent, trace_passive, trace_specular
 from raytrace.propagation.paths import DIFFRACTION, REFRACTION, SPECULAR
@@ -77,7 +78,7 @@ def test_corner_diffracts_like_a_knife_edge() -> None:
     material of the wedge does not matter, and the field over that of free space is
     ``(1 + j)/2 (1/2 - C(v) - j (1/2 - S(v)))``.
     """
-    plan = load_floorplan("l-room").updated({"tracing.diffraction": True, "tracing.depth": 1})
+    plan = updated(load_floorplan("l-room"), {"tracing.diffraction": True, "tracing.depth": 1})
     radio = build_scene(plan, plan.radio.carrier_hz)
     source, corner = plan.anchors_m()[1], np.array([50.0, 40.0])
     across = np.linspace(68.0, 70.15, 44)  # the edge of the shadow is at 70
@@ -106,7 +107,7 @@ def test_corner_diffracts_like_a_knife_edge() -> None:
 def test_without_switches_walls_are_opaque() -> None:
     """The plan's defaults bend nothing, and specular paths are the same with the switches and without."""
     plan = divided()
-    opaque = plan.updated({"tracing.refraction": False})
+    opaque = updated(plan, {"tracing.refraction": False})
     assert plan.tracing.bends
     assert not opaque.tracing.bends
     one, other = trace_passive(plan)[0].flat(), trace_passive(opaque)[0].flat()
@@ -116,10 +117,12 @@ def test_without_switches_walls_are_opaque() -> None:
 
 def test_datasets_mark_what_paths_do(tmp_path: Path) -> None:
     """Counts are in the manifest, kinds in the files; check and truth look at specular paths alone."""
-    plan = divided().updated({"tracing.diffraction": True})
+    plan = updated(divided(), {"tracing.diffraction": True})
     with_bends = generate(plan, tmp_path / "bent", seed=1).dataset
     without = generate(
-        plan.updated({"tracing.refraction": False, "tracing.diffraction": False}), tmp_path / "opaque", seed=1
+        updated(plan, {"tracing.refraction": False, "tracing.diffraction": False}),
+        tmp_path / "opaque",
+        seed=1,
     ).dataset
     counts, opaque = (d.manifest["statistics"]["passive"] for d in (with_bends, without))
     assert counts["refracted"] >= 12 + 12
@@ -162,7 +165,7 @@ def test_nothing_to_hear_is_no_fault(polarised: bool) -> None:
     """Behind an opaque wall there are no paths, with polarisation and without: an empty list."""
     plan = divided()
     if polarised:
-        plan = plan.updated({"radio.agent_array.polarization": "H"})
+        plan = updated(plan, {"radio.agent_array.polarization": "H"})
     radio = build_scene(plan, plan.radio.carrier_hz)
     paths, report = trace_specular(plan, radio, plan.anchors_m(), plan.track(), 2, polarised=plan.polarised)
     assert not paths.valid.any()

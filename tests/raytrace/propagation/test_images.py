@@ -11,7 +11,8 @@ import pytest
 from estimator.geometry import mirror_in_wall
 from estimator.specular import specular_paths
 from estimator.waveform import SPEED_OF_LIGHT_M_S, free_space_loss_db
-from raytrace.plan.floorplan import FloorPlan, load_floorplan, parse_floorplan
+from raytrace.plan.files import load_floorplan, parse_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.materials import permittivity, slab_reflection
 from raytrace.propagation.images import image_paths, surfaces_of
 from raytrace.propagation.paths import NO_SURFACE, PathList
@@ -69,7 +70,7 @@ def test_shoebox_has_the_whole_lattice() -> None:
 
 def test_paths_are_reciprocal() -> None:
     """Exchanging anchor and agent reverses every path: same delay and gain, angles and walls exchanged."""
-    plan = load_floorplan("l-room-hard").updated({"agent.epochs": 1, "tracing.depth": 3})
+    plan = updated(load_floorplan("l-room-hard"), {"agent.epochs": 1, "tracing.depth": 3})
     anchor, agent = plan.anchors_m()[:1], np.array([[30.0, 20.0, 1.2]])
 
     def by_walls(paths: PathList, reverse: bool) -> dict[tuple[int, ...], int]:
@@ -201,7 +202,7 @@ def test_planar_method_agrees() -> None:
 
 def test_blocks_of_positions_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     """Looking at three positions at a time gives what looking at all at once gives."""
-    plan = load_floorplan("l-room").updated({"agent.epochs": 10})
+    plan = updated(load_floorplan("l-room"), {"agent.epochs": 10})
     whole = image_paths(plan).flat()
     monkeypatch.setattr("raytrace.propagation.images._PAIRS", 100)
     pieces = image_paths(plan).flat()
@@ -215,7 +216,7 @@ def test_chosen_sequences_alone() -> None:
 
     Sequences with a gap, or of surfaces that are not there, have none.
     """
-    plan = load_floorplan("l-room").updated({"agent.epochs": 30})
+    plan = updated(load_floorplan("l-room"), {"agent.epochs": 30})
     whole = image_paths(plan).flat()
     none = NO_SURFACE
     among = np.array([[0, none], [1, 0], [1, 0], [none, none]], dtype=np.int16)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
-from raytrace.plan.floorplan import FloorPlan, load_floorplan, shipped_scenes
+from raytrace.plan.files import load_floorplan, shipped_scenes, updated
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.random_plans import KINDS, Kind, random_plan
 from raytrace.propagation.bounces import sharpened
 from raytrace.propagation.images import image_paths
@@ -91,7 +92,7 @@ def test_the_tracers_own_directions_agree(room: Traced) -> None:
 
 def test_paths_beside_their_surfaces_are_dropped() -> None:
     """A bounce on one of two walls in a plane does not count for the other; a rim's breadth is allowed."""
-    plan = load_floorplan("office").updated({"agent.epochs": 60})
+    plan = updated(load_floorplan("office"), {"agent.epochs": 60})
     exact = image_paths(plan, depth=1).flat()
     left, right = (plan.surface_names.index(f"front-a{side}") for side in ("1-right", "2-left"))
     there = exact.walls[:, 0] == left
@@ -109,7 +110,7 @@ def test_a_stretched_room_has_the_same_paths() -> None:
 
     Seen from above, these are the same paths: their azimuths are those of image geometry.
     """
-    plan = load_floorplan("l-room-hard").updated({"agent.epochs": 40, "agent.step_m": 2.5})
+    plan = updated(load_floorplan("l-room-hard"), {"agent.epochs": 40, "agent.step_m": 2.5})
     radio = build_scene(plan, plan.radio.carrier_hz)
     assert radio.tall.stretch == pytest.approx(80.0 / 3.0)
     exact = image_paths(plan, anchors_m=plan.anchors_m()[:1], rim_m=1e-3, leg_m=0.012).flat()
@@ -124,7 +125,7 @@ def test_a_stretched_room_has_the_same_paths() -> None:
 
 def test_rays_of_a_stretched_scene_find_more() -> None:
     """In a long corridor a thousand rays of the stretched scene find more than six thousand of the true."""
-    plan = load_floorplan("corridor").updated({"agent.epochs": 64, "agent.step_m": 1.2})
+    plan = updated(load_floorplan("corridor"), {"agent.epochs": 64, "agent.step_m": 1.2})
     radio = build_scene(plan, plan.radio.carrier_hz)
     exact = image_paths(plan, rim_m=1e-3, leg_m=0.012).flat()
     found = {
@@ -186,7 +187,7 @@ def test_sharpened_paths_are_those_of_image_geometry(room: Traced) -> None:
 
 def test_third_order_too() -> None:
     """Depth 3 is complete as well, on every eighth position."""
-    plan = load_floorplan("l-room").updated({"tracing.depth": 3})
+    plan = updated(load_floorplan("l-room"), {"tracing.depth": 3})
     radio = build_scene(plan, plan.radio.carrier_hz)
     paths, report = trace_specular(plan, radio, plan.anchors_m(), plan.track()[::8], 3)
     assert (report.missing, report.extra) == (0, 0)
@@ -195,7 +196,7 @@ def test_third_order_too() -> None:
 
 def test_lost_paths_are_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """If a call drops paths, their positions are traced again until they are complete."""
-    plan = load_floorplan("l-room").updated({"agent.epochs": 12})
+    plan = updated(load_floorplan("l-room"), {"agent.epochs": 12})
     radio = build_scene(plan, plan.radio.carrier_hz)
     calls = []
 
@@ -218,7 +219,7 @@ def test_two_bounces_at_one_corner_are_not_waited_for() -> None:
     At this position the image method has two paths that bounce twice within 5 mm of a corner.
     """
     plan = load_floorplan("l-room")
-    place = plan.updated({"agent.step_m": 0.08, "agent.epochs": 629}).track()[628:]
+    place = updated(plan, {"agent.step_m": 0.08, "agent.epochs": 629}).track()[628:]
     every, long_legs = (image_paths(plan, place, 2, plan.anchors_m()[:1], 1e-3, leg) for leg in (0.0, 0.012))
     assert every.valid.sum() == long_legs.valid.sum() + 2
     radio = build_scene(plan, plan.radio.carrier_hz)
@@ -229,7 +230,7 @@ def test_two_bounces_at_one_corner_are_not_waited_for() -> None:
 
 def test_what_stays_lost_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tracer that never finds double bounces is not believed: the report counts them."""
-    plan = load_floorplan("l-room").updated({"agent.epochs": 4})
+    plan = updated(load_floorplan("l-room"), {"agent.epochs": 4})
     radio = build_scene(plan, plan.radio.carrier_hz)
 
     def blind(*args: object, **options: object) -> PathList:

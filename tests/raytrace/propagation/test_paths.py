@@ -6,7 +6,8 @@ from dataclasses import fields
 
 import numpy as np
 
-from raytrace.propagation.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathList, PathSet, angles_of
+from raytrace.propagation.directions import angles_of
+from raytrace.propagation.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathList, PathSet
 
 
 def random_paths(rng: np.random.Generator, count: int, bounces: int = 2) -> PathList:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from raytrace.plan.files import floorplan_summary
-from raytrace.plan.floorplan import FloorPlan, load_floorplan, shipped_scenes
+from raytrace.plan.files import load_floorplan, shipped_scenes, updated
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.comparison import compare
 from raytrace.propagation.passive import trace_passive
+from raytrace.propagation.plan_summary import floorplan_summary
 
 ROOMS = ["corridor", "hall", "office", "warehouse"]
 
@@ -16,7 +17,7 @@ ROOMS = ["corridor", "hall", "office", "warehouse"]
 def thinned(plan: FloorPlan, epochs: int) -> FloorPlan:
     """The plan with an agent that stops at fewer places on the same way."""
     step = plan.agent.step_m * (plan.agent.epochs - 1) / (epochs - 1) * 0.999
-    return plan.updated({"agent.epochs": epochs, "agent.step_m": step})
+    return updated(plan, {"agent.epochs": epochs, "agent.step_m": step})
 
 
 @pytest.mark.parametrize("name", ROOMS)
@@ -33,7 +34,7 @@ def test_scenes_are_sound(name: str) -> None:
 @pytest.mark.parametrize("depth", [1, 2])
 def test_no_path_is_lost(name: str, depth: int) -> None:
     """At forty places along the way: every path of the image method, no other, and as strong as in theory."""
-    plan = thinned(load_floorplan(name), 40).updated({"tracing.depth": depth})
+    plan = updated(thinned(load_floorplan(name), 40), {"tracing.depth": depth})
     paths, report = trace_passive(plan)
     assert (report.missing, report.extra) == (0, 0)
     assert report.found == report.expected > 100
@@ -48,7 +49,7 @@ def test_no_path_is_lost(name: str, depth: int) -> None:
 @pytest.mark.parametrize("depth", [1, 2, 3])
 def test_whole_scenes_are_traced(name: str, depth: int) -> None:
     """The whole way: nothing lost up to two bounces, at most a thousandth at three, nothing wrong."""
-    plan = load_floorplan(name).updated({"tracing.depth": depth})
+    plan = updated(load_floorplan(name), {"tracing.depth": depth})
     paths, report = trace_passive(plan)
     result = compare(plan, plan.track(), paths.flat())
     print(name, depth, report.as_dict(), {**result.as_dict(), "named": ()})  # noqa: T201

@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
-from raytrace.plan.floorplan import FloorPlan, load_floorplan, parse_floorplan
+from raytrace.plan.files import load_floorplan, parse_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.bounces import bounce_points
+from raytrace.propagation.directions import directions_of, spherical_basis
 from raytrace.propagation.fields import specular_transfer
 from raytrace.propagation.images import surfaces_of
 from raytrace.propagation.passive import trace_passive
-from raytrace.propagation.paths import PathList, directions_of
+from raytrace.propagation.paths import PathList
 from raytrace.propagation.scene import build_scene
 from raytrace.propagation.solver import solve
-from raytrace.radio.antennas import Element, Pattern, Polarization, mounted, spherical_basis
+from raytrace.radio.antennas import Element, Pattern, Polarization, mounted
 from raytrace.radio.reception import receive
 
 
@@ -121,7 +123,7 @@ def test_mounted_antennas_give_the_ray_tracers_channel(polarised: tuple[FloorPla
     import sionna.rt as rt
 
     plan, _ = polarised
-    one = plan.updated({"agent.epochs": 1})
+    one = updated(plan, {"agent.epochs": 1})
     paths, _ = trace_passive(one)
     response = receive(one, paths, np.array([0]))[0, :, 0, 0, 0]
     scene = build_scene(one, one.radio.carrier_hz).scene

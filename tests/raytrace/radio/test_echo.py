@@ -7,7 +7,8 @@ import pytest
 
 from estimator.geometry import vrp_of_line
 from estimator.waveform import SPEED_OF_LIGHT_M_S
-from raytrace.plan.floorplan import FloorPlan, load_floorplan, shipped_scenes
+from raytrace.plan.files import load_floorplan, shipped_scenes, updated
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.images import image_paths
 from raytrace.propagation.passive import TraceReport, trace_specular
 from raytrace.propagation.paths import PathSet
@@ -126,7 +127,7 @@ def test_hits_are_planar_geometry(l_room: Traced) -> None:
 
 def test_rays_that_meet_nothing() -> None:
     """Above the walls of a room without a ceiling nothing returns."""
-    plan = load_floorplan("l-room").updated({"echo.model": "radar-equation"})
+    plan = updated(load_floorplan("l-room"), {"echo.model": "radar-equation"})
     radio = build_scene(plan, plan.echo.carrier_hz)
     distance, cosine = horizontal_hits(radio, np.array([10.0, 15.0, 5.0]), np.array([0.0, 1.0]))
     assert np.isinf(distance).all()
@@ -137,8 +138,8 @@ def test_rays_that_meet_nothing() -> None:
 def test_pencil_beams_are_equation_7(l_room: Traced) -> None:
     """Beam by beam: gain times b(f) / d^2 and the phase of the two-way delay, (7), on planar hits."""
     plan, radio, _, _ = l_room
-    plan = plan.updated(
-        {"echo.model": "radar-equation", "echo.fan_rays": 0, "echo.gamma": 2.0, "echo.eta": 0.7}
+    plan = updated(
+        plan, {"echo.model": "radar-equation", "echo.fan_rays": 0, "echo.gamma": 2.0, "echo.eta": 0.7}
     )
     response = sweep_echo(plan, radio).response[0]
     beams, grid = plan.echo.beams.beam_set(), plan.echo.grid()
@@ -156,7 +157,7 @@ def test_pencil_beams_are_equation_7(l_room: Traced) -> None:
 def test_fan_is_the_weighted_sum_of_its_rays(l_room: Traced) -> None:
     """Real beams: rays summed one by one with the beam's pattern, of unit power, times its gain."""
     plan, radio, _, _ = l_room
-    plan = plan.updated({"echo.model": "radar-equation", "echo.fan_rays": 360, "echo.subcarriers": 40})
+    plan = updated(plan, {"echo.model": "radar-equation", "echo.fan_rays": 360, "echo.subcarriers": 40})
     response = sweep_echo(plan, radio).response[0]
     beams, grid = plan.echo.beams.beam_set(), plan.echo.grid()
     azimuth = np.deg2rad(np.arange(360.0))
@@ -178,7 +179,7 @@ def test_heading_turns_the_beams(l_room: Traced) -> None:
     """An agent turned by a panel's width sees the same sweep with the panels renumbered."""
     plan, radio, _, _ = l_room
     straight = sweep_echo(plan, radio).response[0].reshape(4, 16, -1)
-    turned = sweep_echo(plan.updated({"agent.heading_deg": 90.0}), radio).response[0].reshape(4, 16, -1)
+    turned = sweep_echo(updated(plan, {"agent.heading_deg": 90.0}), radio).response[0].reshape(4, 16, -1)
     np.testing.assert_allclose(turned, np.roll(straight, -1, axis=0), atol=1e-5 * np.abs(straight).max())
 
 
@@ -186,7 +187,7 @@ def test_rough_walls_add_diffuse_returns(hard_room: Traced) -> None:
     """With scattering on, diffuse returns join the specular ones, and stay the weaker part."""
     plan, radio, _, _ = hard_room
     both = sweep_echo(plan, radio)
-    specular = sweep_echo(plan.updated({"tracing.diffuse": False}), radio)
+    specular = sweep_echo(updated(plan, {"tracing.diffuse": False}), radio)
     assert both.diffuse > 1000
     assert specular.diffuse == 0
     share = np.sum(np.abs(both.response - specular.response) ** 2) / np.sum(np.abs(specular.response) ** 2)

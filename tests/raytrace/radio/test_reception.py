@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
-from raytrace.plan.floorplan import FloorPlan, load_floorplan
+from raytrace.plan.files import load_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.images import image_paths
 from raytrace.propagation.paths import PathSet
 from raytrace.radio.reception import doppler_hz, receive
@@ -14,7 +15,7 @@ from raytrace.radio.reception import doppler_hz, receive
 
 @pytest.fixture(scope="module")
 def plan() -> FloorPlan:
-    return load_floorplan("l-room").updated({"agent.epochs": 40, "tracing.depth": 2})
+    return updated(load_floorplan("l-room"), {"agent.epochs": 40, "tracing.depth": 2})
 
 
 def lone(paths: PathSet, epoch: int = 0) -> tuple[PathSet, int]:
@@ -27,7 +28,7 @@ def lone(paths: PathSet, epoch: int = 0) -> tuple[PathSet, int]:
 @pytest.mark.parametrize("heading_deg", [0.0, 40.0])
 def test_array_phases_follow_the_arrival_angle(plan: FloorPlan, heading_deg: float) -> None:
     """With one path, antennas differ by the steering phase, and the heading turns it."""
-    turned = plan.updated({"radio.agent_array.elements": 4, "agent.heading_deg": heading_deg})
+    turned = updated(plan, {"radio.agent_array.elements": 4, "agent.heading_deg": heading_deg})
     one, anchor = lone(image_paths(turned))
     azimuth, elevation = one.arrival_azimuth_rad[0, anchor, 0], one.arrival_elevation_rad[0, anchor, 0]
     response = receive(turned, one, np.array([0]))[0, anchor, 0, 0]
@@ -38,7 +39,7 @@ def test_array_phases_follow_the_arrival_angle(plan: FloorPlan, heading_deg: flo
 
 def test_heading_along_the_direction_of_travel(plan: FloorPlan) -> None:
     """Turning with the track, the heading is the direction of the next step, plus what the mount adds."""
-    turning = plan.updated({"agent.orientation": "travel", "agent.heading_deg": 10.0})
+    turning = updated(plan, {"agent.orientation": "travel", "agent.heading_deg": 10.0})
     track = turning.track()[:, :2]
     steps = np.diff(track, axis=0)
     ahead = np.arctan2(steps[:, 1], steps[:, 0]) + np.deg2rad(10.0)
@@ -46,15 +47,15 @@ def test_heading_along_the_direction_of_travel(plan: FloorPlan) -> None:
     np.testing.assert_allclose(middle, ahead, atol=2e-3)
     assert turning.heading_rad == pytest.approx(ahead[0], abs=1e-6)
     assert np.ptp(plan.headings_rad()) == 0.0
-    longer = turning.updated({"agent.epochs": 200})
+    longer = updated(turning, {"agent.epochs": 200})
     np.testing.assert_array_equal(longer.headings_rad()[:40], turning.headings_rad())
     assert np.ptp(longer.headings_rad()) > 1.0  # the track turns into the other wing
 
 
 def test_a_turning_array_sees_sources_turn_back(plan: FloorPlan) -> None:
     """Ahead is broadside to an array that looks ahead: its phases follow the heading of the epoch."""
-    turning = plan.updated(
-        {"agent.orientation": "travel", "radio.agent_array.elements": 2, "agent.epochs": 150}
+    turning = updated(
+        plan, {"agent.orientation": "travel", "radio.agent_array.elements": 2, "agent.epochs": 150}
     )
     paths = image_paths(turning, depth=0)
     response = receive(turning, paths, np.arange(150))
@@ -70,7 +71,7 @@ def test_doppler_is_the_rate_of_path_length(plan: FloorPlan) -> None:
 
     The derivative is that of a central difference of 2 mm along the direction of travel.
     """
-    fast = plan.updated({"agent.speed_m_s": 20.0})
+    fast = updated(plan, {"agent.speed_m_s": 20.0})
     track, velocity = fast.track(), fast.velocities_m_s()
     np.testing.assert_allclose(np.linalg.norm(velocity, axis=1), 20.0)
     paths = image_paths(fast)
@@ -94,8 +95,8 @@ def test_doppler_is_the_rate_of_path_length(plan: FloorPlan) -> None:
 
 def test_snapshots_rotate_by_the_doppler_shift(plan: FloorPlan) -> None:
     """Between snapshots a lone path turns by ``2 pi f_D`` times the interval; the first is that of one."""
-    several = plan.updated(
-        {"radio.snapshots": 3, "radio.snapshot_interval_s": 2e-4, "radio.agent_array.elements": 2}
+    several = updated(
+        plan, {"radio.snapshots": 3, "radio.snapshot_interval_s": 2e-4, "radio.agent_array.elements": 2}
     )
     one, anchor = lone(image_paths(several))
     response = receive(several, one, np.array([0]))[0, anchor, :, 0]
@@ -103,7 +104,7 @@ def test_snapshots_rotate_by_the_doppler_shift(plan: FloorPlan) -> None:
     shift = doppler_hz(several, one, np.array([0]))[0, anchor, 0]
     turn = np.exp(2j * np.pi * shift * 2e-4)
     np.testing.assert_allclose(response[1:] / response[:-1], np.full((2, 2, 819), turn), rtol=1e-9)
-    still = several.updated({"radio.snapshots": 1})
+    still = updated(several, {"radio.snapshots": 1})
     np.testing.assert_array_equal(receive(still, one, np.array([0]))[0, anchor, 0, 0], response[0])
 
 
@@ -112,7 +113,7 @@ def test_clocks_shift_whole_channels(plan: FloorPlan) -> None:
     data = plan.model_dump(mode="json")
     data["agent"]["clock"] = {"offset_s": 5e-9, "drift_ppm": 0.001}
     data["anchors"][1]["clock"] = {"offset_s": 2e-9}
-    from raytrace.plan.floorplan import parse_floorplan
+    from raytrace.plan.files import parse_floorplan
 
     error = parse_floorplan({k: v for k, v in data.items() if v is not None}).clock_errors_s()
     np.testing.assert_allclose(error[0], [5e-9, 3e-9])
@@ -125,7 +126,7 @@ def test_what_is_not_used_is_not_written(plan: FloorPlan) -> None:
     text = plan.canonical_json()
     for name in ("clock", "orientation", "snapshots"):
         assert name not in text
-    used = plan.updated({"agent.clock.offset_s": 1e-9, "agent.orientation": "travel", "radio.snapshots": 2})
+    used = updated(plan, {"agent.clock.offset_s": 1e-9, "agent.orientation": "travel", "radio.snapshots": 2})
     assert {"clock", "orientation", "snapshots"} <= {
         word for word in ("clock", "orientation", "snapshots") if word in used.canonical_json()
     }

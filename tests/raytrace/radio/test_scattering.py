@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
-from raytrace.plan.floorplan import FloorPlan, parse_floorplan
+from raytrace.plan.files import parse_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.materials import permittivity, slab_reflection
+from raytrace.propagation.directions import directions_of
 from raytrace.propagation.images import surfaces_of
 from raytrace.propagation.passive import TraceReport
-from raytrace.propagation.paths import PathSet, directions_of
+from raytrace.propagation.paths import PathSet
 from raytrace.propagation.scene import RadioScene, build_scene
 from raytrace.propagation.solver import solve
 from raytrace.radio.channel import channel_response
@@ -126,7 +128,7 @@ def test_diffuse_echo_falls_as_the_square_of_the_distance() -> None:
 
 def test_response_is_the_sum_of_the_paths() -> None:
     """The batched response holds for every epoch the sum of that epoch's diffuse paths."""
-    plan = one_rough_wall().updated({"tracing.diffuse_samples": 500})
+    plan = updated(one_rough_wall(), {"tracing.diffuse_samples": 500})
     radio = build_scene(plan, plan.radio.carrier_hz)
     response, count = diffuse_response(plan, radio, np.arange(plan.agent.epochs))
     assert response.shape == (3, 1, 1, 1, 1, 819)
@@ -142,7 +144,7 @@ def test_response_is_the_sum_of_the_paths() -> None:
 def test_places_stay_where_they_are(hard_room: Traced) -> None:
     """The scattering places are the same at every epoch: neighbouring channels are alike in power."""
     plan, radio, _, _ = hard_room
-    near = plan.updated({"agent.epochs": 40, "tracing.diffuse_samples": 500})
+    near = updated(plan, {"agent.epochs": 40, "tracing.diffuse_samples": 500})
     response, _ = diffuse_response(near, radio, np.arange(near.agent.epochs))
     assert response.shape[0] == 40  # more than one batch, the last one filled up
     power = np.mean(np.abs(response) ** 2, axis=(2, 3, 4, 5))
@@ -164,7 +166,7 @@ def test_lobes_are_those_of_the_models(lobes: dict[str, object], alpha_i: int, s
     plan = one_rough_wall()
     alpha_r, place = 5, plan.track()[:1]
     parameters = {"alpha_r": alpha_r, "alpha_i": alpha_i, "specular_share": share, **lobes}
-    lobed = plan.updated({"scattering_patterns": {plan.walls[0].material: parameters}})
+    lobed = updated(plan, {"scattering_patterns": {plan.walls[0].material: parameters}})
     power = []
     for each in (plan, lobed):
         radio = build_scene(each, each.radio.carrier_hz)

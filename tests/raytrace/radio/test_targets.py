@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
-from raytrace.plan.floorplan import FloorPlan, Target, load_floorplan, parse_floorplan
+from raytrace.plan.files import load_floorplan, parse_floorplan, updated
+from raytrace.plan.floorplan import FloorPlan, Target
 from raytrace.propagation.scene import RadioScene, build_scene
 from raytrace.radio.echo import sweep_echo
 from raytrace.radio.targets import target_returns
@@ -17,7 +18,7 @@ PLACE = np.array([10.0, 15.0, 1.5])
 def furnished(*targets: dict[str, object], **changes: object) -> FloorPlan:
     data = load_floorplan("l-room").model_dump(mode="json", exclude_none=True)
     data["targets"] = [{"name": f"t{index}", **target} for index, target in enumerate(targets)]
-    return parse_floorplan(data).updated({"agent.epochs": 1, **changes})
+    return updated(parse_floorplan(data), {"agent.epochs": 1, **changes})
 
 
 def at(range_m: float, azimuth_rad: float, rcs_m2: float) -> dict[str, object]:
@@ -39,7 +40,7 @@ def test_power_follows_the_radar_equation(empty: tuple[FloorPlan, RadioScene], m
     sections span a factor of 16 and 1000, so the exponents of both are tested, too.
     """
     plan, radio = empty
-    plan = plan.updated({"echo.model": model})
+    plan = updated(plan, {"echo.model": model})
     without = sweep_echo(plan, radio).response[0]
     beams, grid = plan.echo.beams.beam_set(), plan.echo.grid()
     beam = 5

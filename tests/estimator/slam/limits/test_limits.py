@@ -21,7 +21,7 @@ PAPER = {"sensed": SENSED, "detection_probability": 0.95}
 @pytest.fixture(scope="module")
 def scenario(room):
     """The paper's five reflecting walls, anchors P0 and the smoothed track."""
-    from raytrace.plan.floorplan import load_floorplan  # plain pydantic, no ray tracer
+    from raytrace.plan.files import load_floorplan  # plain pydantic, no ray tracer
 
     track = load_floorplan("l-room").track()[:, :2]
     return Scenario(room.walls[:5, 0], room.walls[:5, 1], room.anchors, track)

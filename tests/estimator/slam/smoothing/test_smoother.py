@@ -28,7 +28,7 @@ MODEL = GaussianConfig(range_std_m=STD, height2_mean_m2=0.0, height2_std_m2=0.0)
 @pytest.fixture(scope="module")
 def scenario(room):
     """The paper's five reflecting walls, anchors P0 and the smoothed track."""
-    from raytrace.plan.floorplan import load_floorplan  # plain pydantic, no ray tracer
+    from raytrace.plan.files import load_floorplan  # plain pydantic, no ray tracer
 
     track = load_floorplan("l-room").track()[:, :2]
     return Scenario(room.walls[:5, 0], room.walls[:5, 1], room.anchors, track)
