@@ -47,7 +47,7 @@ def test_snippets_make_a_plan() -> None:
 def fields_of(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
     for name, field in model.model_fields.items():
         yield prefix + name
-        for part in re.findall(r"raytrace\.\w+\.(\w+)", str(field.annotation)):
+        for part in re.findall(r"raytrace\.plan\.\w+\.(\w+)", str(field.annotation)):
             kind = next(kind for kind in parts() if kind.__name__ == part)
             yield from fields_of(kind, f"{prefix}{name}.")
 
