@@ -1,30 +1,25 @@
-"""How runs are judged and summed up: against runs with known errors, and against planted faults."""
+"""How runs are judged and summed up: against runs with known errors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from estimator.executors import Workers
 from estimator.experiments.cases import Case, limit_of
 from estimator.experiments.room import Room
-from estimator.experiments.runs import Run, Score, perform, score, slam_of, unmirrored
+from estimator.experiments.runs import Run, Score, score, slam_of, unmirrored
 from estimator.experiments.summary import (
     converged_step,
     limit_curves,
     mean_of,
     rms_of,
-    score_curves,
     summarise,
 )
 from estimator.geometry import rotate
 from estimator.result import SlamResult
-from estimator.slam import engine
-from estimator.slam.features import Prediction
 
 HYBRID = Case("hybrid", "gaussian")
 
@@ -171,83 +166,3 @@ def test_the_limits_curve_starts_at_the_sensed_walls(walk: Callable[..., Room]) 
     rayleigh = np.mean(np.sqrt(0.5 * np.pi * np.array(room.sensed_variances_m2)))
     assert 0.3 * rayleigh < curve[0] < rayleigh
     assert curve[-1] < curve[0]
-
-
-# What follows is the short form of the acceptance of the joint filter: it must pass, and it must fail
-# for a filter that is wrong.
-
-LONG, SHORT = (10, 50), (3, 30)  # runs and steps; gross faults show in the shorter
-
-
-def _faults(room: Room, runs: int) -> list[str]:
-    """Why the runs are not those of a right filter; tolerances are four Monte-Carlo standard errors."""
-    tasks = [Run(room, HYBRID, 100 + i, 10) for i in range(runs)]
-    scores = Workers().map(perform, tasks)
-    limit = limit_of(room, HYBRID)
-    assert limit is not None
-    numbers: dict[str, Any] = summarise(scores, limit, room)
-    error = np.array([np.mean(s.derotated_m[20:] ** 2) for s in scores])
-    bound = float(np.mean(limit.derotated_rmse_m[20:] ** 2))
-    nees = np.array([np.nanmean(s.nees) for s in scores])
-    faults = []
-    if numbers["lost"]:
-        faults.append("lost")
-    if error.mean() > 1.2 * bound + 4.0 * error.std(ddof=1) / np.sqrt(runs):
-        faults.append("inaccurate")
-    if not 0.65 < nees.mean() < 1.5:
-        faults.append("inconsistent")
-    if score_curves(scores)["vrp_ospa_m"][-1] > 1.2:
-        faults.append("map")
-    return faults
-
-
-@pytest.mark.parametrize(("runs", "steps"), [LONG, SHORT])
-def test_the_joint_filter_is_accepted(walk: Callable[..., Room], runs: int, steps: int) -> None:
-    """A short Monte-Carlo run of the Gaussian engine meets the limit and is consistent."""
-    assert _faults(walk(steps), runs) == []
-
-
-def test_a_doubled_covariance_is_refused(walk: Callable[..., Room], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A filter that claims twice its variance is found out by its NEES alone."""
-    honest = engine.GaussianEngine.estimate
-
-    def timid(self: engine.GaussianEngine, state: Any) -> Any:
-        said = honest(self, state)
-        return replace(said, agent_covariance=2.0 * said.agent_covariance)
-
-    monkeypatch.setattr(engine.GaussianEngine, "estimate", timid)
-    runs, steps = LONG
-    assert _faults(walk(steps), runs) == ["inconsistent"]
-
-
-def test_a_wrong_sign_of_a_derivative_is_refused(
-    walk: Callable[..., Room], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A filter whose path lengths shrink where they should grow with the agent's x is found out."""
-    right = Prediction.derivatives
-
-    def wrong(self: Prediction, feature: Any) -> Any:
-        jacobian = right(self, feature)
-        jacobian[..., 0] *= -1.0
-        return jacobian
-
-    monkeypatch.setattr(Prediction, "derivatives", wrong)
-    runs, steps = SHORT
-    assert _faults(walk(steps), runs)
-
-
-def test_swapped_anchors_are_refused(walk: Callable[..., Room], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Paths that change their anchors half-way are found out."""
-    measure = Room.measure
-
-    def swapped(self: Room, *arguments: Any, **more: Any) -> Any:
-        said = measure(self, *arguments, **more)
-        epochs = [
-            replace(epoch, paths=epoch.paths[::-1]) if epoch.index >= SHORT[1] // 2 else epoch
-            for epoch in said.epochs
-        ]
-        return replace(said, epochs=tuple(epochs))
-
-    monkeypatch.setattr(Room, "measure", swapped)
-    runs, steps = SHORT
-    assert _faults(walk(steps), runs)
