@@ -27,6 +27,8 @@ from typing import Any
 import xarray as xr
 
 from estimator.errors import FileFormatError, OutputExistsError
+from estimator.hdf5_guard import check_hdf5
+from estimator.json_objects import json_object
 
 __all__ = [
     "Dataset",
@@ -131,10 +133,11 @@ def read_netcdf(path: Path, format_name: str, version: int) -> xr.Dataset:
     path = Path(path)
     if not path.is_file():
         raise FileFormatError(f"{path}: expected a {format_name} file, found nothing there")
+    check_hdf5(path)
     try:
         with xr.open_dataset(path, engine="h5netcdf") as data:
             loaded = data.load()
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
+    except Exception as error:  # whatever the libraries make of rubbish
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise FileFormatError(
             f"{path}: expected a complete netCDF-4 file ({format_name}), could not read it: {reason}"
@@ -322,8 +325,12 @@ def _check_shards(file: Path, shards: object) -> None:
     for shard in shards:
         if not isinstance(shard, dict) or not {"file", "kind", "bytes", "sha256"} <= shard.keys():
             raise FileFormatError(f"{file}: expected shards with file, kind, bytes and sha256, got {shard!r}")
+        if not isinstance(shard["sha256"], str):
+            raise FileFormatError(f"{file}: expected a SHA-256 in hexadecimal, got {shard['sha256']!r}")
         if Path(str(shard["file"])).name != shard["file"]:
             raise FileFormatError(f"{file}: expected plain shard file names, got {shard['file']!r}")
+    if len({shard["file"] for shard in shards}) != len(shards):
+        raise FileFormatError(f"{file}: expected each shard once")
 
 
 def read_manifest(path: Path, complete: bool = False) -> dict[str, Any]:
@@ -340,11 +347,9 @@ def read_manifest(path: Path, complete: bool = False) -> dict[str, Any]:
     if not file.is_file():
         raise FileFormatError(f"{path}: expected a dataset directory with {MANIFEST}, found none")
     try:
-        manifest = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        manifest = json_object(file.read_text(encoding="utf-8"), str(file))
+    except (OSError, UnicodeDecodeError) as error:
         raise FileFormatError(f"{file}: expected JSON, could not read it: {error}") from error
-    if not isinstance(manifest, dict):
-        raise FileFormatError(f"{file}: expected a JSON object, got {type(manifest).__name__}")
     found = manifest.get("format"), manifest.get("version")
     if found != (FORMAT, VERSION):
         raise FileFormatError(

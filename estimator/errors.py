@@ -11,6 +11,7 @@ __all__ = [
     "BackendError",
     "ConfigurationError",
     "FileFormatError",
+    "FileTooLargeError",
     "HapslamError",
     "InputError",
     "OutputExistsError",
@@ -31,6 +32,10 @@ class ConfigurationError(InputError):
 
 class FileFormatError(InputError):
     """A file is missing, truncated, of another format or of an unknown version."""
+
+
+class FileTooLargeError(FileFormatError):
+    """A file holds, or would unpack to, more than is read."""
 
 
 class OutputExistsError(InputError):

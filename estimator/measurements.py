@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from estimator.dataset import read_netcdf, write_netcdf
 from estimator.errors import FileFormatError, InputError
+from estimator.json_objects import json_object
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 
 __all__ = [
@@ -328,14 +329,14 @@ def load_measurements(path: Path) -> MeasurementSet:
         valid = data["path_valid"].values.astype(bool)
         columns = {name: data[name].values for name in _COLUMNS if name in data}
         held = data["heading_held"].values.astype(bool)
-        sweeps: dict[int, tuple[GaussianVrp, ...]] = {}
+        sweeps: dict[int, list[GaussianVrp]] = {}
         for i, mean, covariance in zip(
             data["flash_epoch"].values,
             data["flash_mean_m"].values,
             data["flash_covariance_m2"].values,
             strict=True,
         ):
-            sweeps[int(i)] = (*sweeps.get(int(i), ()), GaussianVrp(mean, covariance))
+            sweeps.setdefault(int(i), []).append(GaussianVrp(mean, covariance))
         index, time = data["epoch"].values, data["time_s"].values
         walls = tuple(
             GaussianVrp(mean, covariance)
@@ -353,7 +354,7 @@ def load_measurements(path: Path) -> MeasurementSet:
                     _anchor_paths({name: c[i, k][valid[i, k]] for name, c in columns.items()})
                     for k in range(len(anchors))
                 ),
-                sweeps.get(i, ()),
+                tuple(sweeps.get(i, ())),
                 bool(held[i]),
             )
             for i in range(len(index))
@@ -363,13 +364,13 @@ def load_measurements(path: Path) -> MeasurementSet:
             walls,
             epochs,
             float(attributes["carrier_hz"]),
-            json.loads(attributes["settings"]),
-            attributes["dataset"] or None,
+            json_object(attributes["settings"], "attribute settings"),
+            str(attributes["dataset"]) or None,
             data["known_anchor_m"].values if "known_anchor_m" in data else None,
         )
     except KeyError as error:
         raise FileFormatError(f"{path}: expected the attribute {error}, it is missing") from error
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    except ValueError as error:
-        raise FileFormatError(f"{path}: expected settings in JSON, could not read them: {error}") from error
+        raise type(error)(f"{path}: {error}") from error
+    except (ValueError, TypeError, AttributeError, IndexError, OverflowError) as error:
+        raise FileFormatError(f"{path}: expected the values of a measurement file: {error}") from error

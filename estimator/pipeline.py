@@ -24,6 +24,7 @@ from estimator.dataset import open_dataset, require_absent, write_text
 from estimator.errors import FileFormatError
 from estimator.evaluation import EvaluationConfig, evaluate
 from estimator.extract import extract
+from estimator.json_objects import json_object
 from estimator.measurements import load_measurements, save_measurements
 from estimator.result import SlamResult, load_result, save_result
 from estimator.slam import run_slam
@@ -203,13 +204,7 @@ def run_record(result: Path) -> dict[str, Any]:
     file = _sidecar(result)
     if not file.is_file():
         return {}
-    try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise FileFormatError(f"{file}: expected JSON, could not read it: {error}") from error
-    if not isinstance(record, dict):
-        raise FileFormatError(f"{file}: expected a JSON object, got {type(record).__name__}")
-    return record
+    return json_object(file.read_bytes(), str(file))
 
 
 def _sidecar(result: Path) -> Path:

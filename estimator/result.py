@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from estimator.dataset import read_netcdf, write_netcdf
 from estimator.errors import FileFormatError
+from estimator.json_objects import json_object
 
 __all__ = ["SlamResult", "load_result", "save_result"]
 
@@ -158,19 +159,19 @@ def load_result(path: Path) -> SlamResult:
     for name, (dims, _) in _SHAPES.items():
         if data[name].dims != dims:
             raise FileFormatError(f"{path}: expected {name} to have axes {dims}, got {data[name].dims}")
-    arrays = {name: data[name].values for name in _SHAPES}
-    for name in ("anchor_valid", "wall_valid"):
-        arrays[name] = arrays[name].astype(bool)
     attributes = data.attrs
     try:
+        arrays = {name: data[name].values for name in _SHAPES}
+        for name in ("anchor_valid", "wall_valid"):
+            arrays[name] = arrays[name].astype(bool)
         return SlamResult(
             method=str(attributes["method"]),
             engine=str(attributes["engine"]),
             seed=int(attributes["seed"]),
             anchors=tuple(str(name) for name in data["anchor"].values),
-            settings=json.loads(attributes["settings"]),
+            settings=json_object(attributes["settings"], "attribute settings"),
             dataset=str(attributes["dataset"]) or None,
             **arrays,
         )
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise FileFormatError(f"{path}: expected attributes of a result, got {error!r}") from error

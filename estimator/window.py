@@ -14,6 +14,7 @@ import xarray as xr
 
 from estimator.dataset import Dataset
 from estimator.errors import FileFormatError, InputError
+from estimator.hdf5_guard import check_hdf5
 
 __all__ = ["read_window"]
 
@@ -66,7 +67,9 @@ def read_window(
         if low < stop and high > first:
             here = slice(max(first, low) - low, min(stop, high) - low)
             try:
-                with xr.open_dataset(dataset.file(entry), engine="h5netcdf") as shard:
+                file = dataset.file(entry)
+                check_hdf5(file)
+                with xr.open_dataset(file, engine="h5netcdf") as shard:
                     picked = shard if variables is None else shard[list(variables)]
                     parts.append(picked.isel(epoch=here).load())
             except KeyError as error:

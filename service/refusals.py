@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from sqlalchemy.exc import DBAPIError, IntegrityError, InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
-from estimator.errors import FileFormatError, InputError
+from estimator.errors import FileFormatError, FileTooLargeError, InputError
 from service.errors import (
     AuthenticationError,
     BusyError,
@@ -49,12 +49,12 @@ class Refusal:
     detail: str | None = None
 
 
-_TABLE: tuple[tuple[type[BaseException], Refusal], ...] = (
+_TABLE: tuple[tuple[type[BaseException] | tuple[type[BaseException], ...], Refusal], ...] = (
     (NotFoundError, Refusal(404, "not-found", "Not found")),
     (ConflictError, Refusal(409, "conflict", "The session is elsewhere")),
     (AuthenticationError, Refusal(401, "authentication", "An API key is needed")),
     (ForbiddenError, Refusal(403, "forbidden", "Not allowed from there")),
-    (TooLargeError, Refusal(413, "too-large", "Too large")),
+    ((TooLargeError, FileTooLargeError), Refusal(413, "too-large", "Too large")),
     (UnsupportedMediaError, Refusal(415, "media-type", "Of another media type")),
     (TooManyError, Refusal(429, "too-many-sessions", "Too many sessions", 3600)),
     (BusyError, Refusal(429, "busy", "Busy", 1)),

@@ -1,14 +1,12 @@
 """Files sent by clients: arrays, datasets, measurement files; read in a worker process.
 
-Nothing in a file is trusted: sizes are added up before anything is unpacked, arrays come
-without pickles, names inside an archive must be those that a dataset has, and what
+Nothing in a file is trusted: its structure is checked and sizes are added up before anything is
+unpacked, arrays come without pickles, names inside an archive must be those that a dataset has, and what
 crashes a reader takes its worker along and no more.
 """
 
 from __future__ import annotations
 
-import io
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,15 +18,17 @@ from numpy.typing import NDArray
 
 from estimator.dataset import KINDS, MANIFEST, open_dataset
 from estimator.errors import FileFormatError, InputError
+from estimator.hdf5_guard import Hdf5Limits, check_hdf5
 from estimator.measurements import MeasurementSet, load_measurements
 from estimator.waveform import OfdmGrid
-from service.errors import TooLargeError
+from service.archives import ZIP, ArchiveLimits, npz_arrays, opened_archive
+from service.confinement import confined_reading
 from service.fold import StateCache
 from service.push import truth_entry
 
 __all__ = ["FileTask", "Unpacked", "columns", "evenly_spaced", "read_arrays"]
 
-_ZIP, _HDF5 = b"PK\x03\x04", b"\x89HDF\r\n\x1a\n"
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 @dataclass(frozen=True)
@@ -63,20 +63,21 @@ class FileTask:
     max_unpacked_bytes: int
 
     def run(self, cache: StateCache) -> Unpacked:
-        """Read it; raises FileFormatError, InputError or TooLargeError."""
+        """Read it; raises FileFormatError, InputError or FileTooLargeError."""
         del cache
         with TemporaryDirectory(prefix="hapslam-") as folder:
-            if self.body.startswith(_ZIP):
+            if self.body.startswith(ZIP):
                 return _dataset(self.body, Path(folder), self.max_unpacked_bytes)
             if not self.body.startswith(_HDF5):
                 raise FileFormatError("file: expected a netCDF-4 measurement file or a zipped dataset")
             file = Path(folder) / "measurements.nc"
             file.write_bytes(self.body)
-            _check_netcdf(file, self.max_unpacked_bytes)
-            try:
-                return Unpacked(load_measurements(file))
-            except InputError as error:
-                raise FileFormatError(str(error).replace(f"{folder}/", "")) from error
+            with confined_reading():
+                check_hdf5(file, Hdf5Limits(bytes=self.max_unpacked_bytes))
+                try:
+                    return Unpacked(load_measurements(file))
+                except InputError as error:
+                    raise _without(folder, error) from error
 
 
 def read_arrays(body: bytes, limit: int, wanted: tuple[str, ...]) -> dict[str, Any]:
@@ -86,31 +87,24 @@ def read_arrays(body: bytes, limit: int, wanted: tuple[str, ...]) -> dict[str, A
     ------
     FileFormatError
         If the file is neither, or one of them is missing.
-    TooLargeError
+    FileTooLargeError
         If it would unpack to more than ``limit`` bytes.
     """
-    try:
-        if body.startswith(_ZIP):
-            with zipfile.ZipFile(io.BytesIO(body)) as archive:
-                _check_archive(archive, limit)
-            with np.load(io.BytesIO(body), allow_pickle=False) as arrays:
-                return {name: arrays[name] for name in wanted}
-        if body.startswith(_HDF5):
-            with TemporaryDirectory(prefix="hapslam-") as folder:
-                file = Path(folder) / "channels.nc"
-                file.write_bytes(body)
-                _check_netcdf(file, limit)
-                with xr.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
-                    return {name: data[name].values for name in wanted}
-    except KeyError as error:
-        raise FileFormatError(f"file: expected {', '.join(wanted)}, {error} is missing") from error
-    except (InputError, TooLargeError):
-        raise
-    except Exception as error:  # whatever the libraries make of rubbish
-        raise FileFormatError(
-            f"file: expected arrays without objects, could not read them: {error}"
-        ) from error
-    raise FileFormatError("file: expected netCDF-4 or npz, got something else")
+    if body.startswith(ZIP):
+        with confined_reading(), opened_archive(body, ArchiveLimits(limit)) as archive:
+            return npz_arrays(archive, wanted)
+    if not body.startswith(_HDF5):
+        raise FileFormatError("file: expected netCDF-4 or npz, got something else")
+    with TemporaryDirectory(prefix="hapslam-") as folder:
+        file = Path(folder) / "channels.nc"
+        file.write_bytes(body)
+        with confined_reading():
+            check_hdf5(file, Hdf5Limits(bytes=limit))
+            with xr.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
+                missing = [name for name in wanted if name not in data.variables]
+                if missing:
+                    raise FileFormatError(f"file: expected {', '.join(wanted)}, {missing[0]} is missing")
+                return {name: data[name].values for name in wanted}
 
 
 def columns(arrays: dict[str, Any]) -> dict[str, NDArray[Any]]:
@@ -139,48 +133,31 @@ def evenly_spaced(offset_hz: NDArray[np.float64], carrier_hz: float) -> OfdmGrid
     return OfdmGrid(carrier_hz, float(spacing.mean()), len(offset_hz))
 
 
-def _check_archive(archive: zipfile.ZipFile, limit: int) -> None:
-    size = sum(entry.file_size for entry in archive.infolist())
-    if size > limit:
-        raise TooLargeError(f"file: expected to unpack to at most {limit} bytes, got {size}")
-
-
-def _check_netcdf(file: Path, limit: int) -> None:
-    """Add up what a netCDF file's variables unpack to, before any is read."""
-    try:
-        with xr.open_dataset(file, engine="h5netcdf", decode_cf=False) as data:
-            size = sum(8 * variable.size for variable in data.variables.values())
-    except Exception as error:  # whatever the library makes of rubbish
-        raise FileFormatError("file: expected a complete netCDF-4 file, could not read it") from error
-    if size > limit:
-        raise TooLargeError(f"file: expected to unpack to at most {limit} bytes, got {size}")
-
-
 def _dataset(body: bytes, folder: Path, limit: int) -> Unpacked:
     """Unpack a dataset under names of our own and estimate its measurements."""
     from estimator.extract import extract
 
-    try:
-        with zipfile.ZipFile(io.BytesIO(body)) as archive:
-            _check_archive(archive, limit)
-            members = {Path(entry.filename).name: entry for entry in archive.infolist() if not entry.is_dir()}
-            for name, entry in members.items():
-                if name == MANIFEST or (name.endswith(".nc") and name.split("-")[0].split(".")[0] in KINDS):
-                    (folder / name).write_bytes(archive.read(entry))
-    except TooLargeError:
-        raise
-    except Exception as error:  # whatever the libraries make of rubbish
-        raise FileFormatError(f"file: expected a zipped dataset, could not unpack it: {error}") from error
-    for file in folder.glob("*.nc"):
-        _check_netcdf(file, limit)
-    try:
-        dataset = open_dataset(folder)
-        measurements = extract(dataset)
-        truth = None
-        if any(entry["kind"] == "truth" for entry in dataset.manifest["shards"]):
-            truth = truth_entry(folder)
-    except InputError as error:
-        raise FileFormatError(str(error).replace(f"{folder}/", "").replace(str(folder), "dataset")) from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise FileFormatError(f"dataset: expected what `hapslam trace` writes: {error!r}") from error
-    return Unpacked(measurements, truth)
+    with confined_reading(), opened_archive(body, ArchiveLimits(limit)) as archive:
+        members = {Path(entry.filename).name: entry for entry in archive.infolist() if not entry.is_dir()}
+        for name, entry in members.items():
+            if name == MANIFEST or (name.endswith(".nc") and name.split("-")[0].split(".")[0] in KINDS):
+                (folder / name).write_bytes(archive.read(entry))
+    shards = sorted(folder.glob("*.nc"))
+    with confined_reading():
+        left = limit
+        for file in shards:
+            left -= check_hdf5(file, Hdf5Limits(bytes=left))
+        try:
+            dataset = open_dataset(folder)
+            measurements = extract(dataset)
+            if not any(entry["kind"] == "truth" for entry in dataset.manifest["shards"]):
+                return Unpacked(measurements)
+            return Unpacked(measurements, truth_entry(folder))
+        except InputError as error:
+            raise _without(str(folder), error) from error
+
+
+def _without(folder: str, error: InputError) -> FileFormatError:
+    """An error without the name of the folder in which the file lay."""
+    text = str(error).replace(f"{folder}/", "").replace(folder, "dataset")
+    return type(error)(text) if isinstance(error, FileFormatError) else FileFormatError(text)

@@ -18,6 +18,7 @@ from multiprocessing.connection import Connection, wait
 from types import TracebackType
 from typing import Any, Protocol, TypeVar
 
+from service.confinement import limit_memory
 from service.errors import BusyError, StepTimeoutError, WorkerDiedError
 from service.fold import Folded, Job, StateCache
 
@@ -27,10 +28,11 @@ T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 
 
-def _serve(connection: Connection) -> None:
+def _serve(connection: Connection, most_bytes: int) -> None:
     """Life of a worker: task after task until the server is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the server drains, then closes the connection
+    limit_memory(most_bytes)
     warnings.simplefilter("ignore", RuntimeWarning)  # wild measurements overflow; estimates are checked
     parent = multiprocessing.parent_process()
     threading.Thread(target=_end_with, args=(parent.sentinel if parent else -1,), daemon=True).start()
@@ -72,10 +74,14 @@ class StepPool:
         Jobs that may wait for one worker.
     timeout_s : float
         Longest time of one job.
+    most_bytes : int
+        Memory of a process.
     """
 
-    def __init__(self, workers: int, max_waiting: int, timeout_s: float) -> None:
-        self._workers = [_Worker(max_waiting, timeout_s) for _ in range(workers)]
+    def __init__(
+        self, workers: int, max_waiting: int, timeout_s: float, most_bytes: int = 576 * 2**20
+    ) -> None:
+        self._workers = [_Worker(max_waiting, timeout_s, most_bytes) for _ in range(workers)]
         self._own = threading.Lock()
         self._cache = StateCache()
 
@@ -121,15 +127,15 @@ class StepPool:
 class _Worker:
     """A process that does one task at a time, and those who wait for it."""
 
-    def __init__(self, max_waiting: int, timeout_s: float) -> None:
-        self._timeout_s, self._max_waiting = timeout_s, max_waiting
+    def __init__(self, max_waiting: int, timeout_s: float, most_bytes: int) -> None:
+        self._timeout_s, self._max_waiting, self._most_bytes = timeout_s, max_waiting, most_bytes
         self._turn, self._guard = threading.Lock(), threading.Lock()
         self.waiting = 0
 
     def start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process = context.Process(target=_serve, args=(theirs, self._most_bytes), daemon=True)
         self._process.start()
         theirs.close()
         self._answered = select.poll()

@@ -166,7 +166,7 @@ def rewritten(path: Path, change: Callable[[xr.Dataset], xr.Dataset]) -> Path:
         (
             lambda d: d.assign_attrs(settings="{"),
             FileFormatError,
-            "expected settings in JSON, could not read them",
+            "settings: expected JSON, could not read it",
         ),
         (
             lambda d: d.assign_attrs(version=9),
