@@ -1,37 +1,54 @@
 """Functions compiled to machine code on first use, and kept for the next process.
 
-The arithmetic of a hypothesis is small: interpreted, it costs thirty times what it costs compiled. Compiled
-functions are plain loops over arrays. They are compiled without ``fastmath`` and without threads, so that results
-are the same bits whatever the number of cores. The machine code is kept beside the source or, where that may not be
-written, in the user's cache folder (Numba's rule; ``NUMBA_CACHE_DIR`` overrides it). With
-``NUMBA_DISABLE_JIT=1`` the same functions run as Python, for a debugger or to measure coverage.
+The arithmetic of a hypothesis is small: interpreted, it costs thirty times what it costs compiled.
+Compiled functions are plain loops over arrays. They are compiled without ``fastmath`` and without
+threads, so that results are the same bits whatever the number of cores. The machine code is kept beside
+the source or, where that may not be written, in the user's cache folder (Numba's rule;
+``NUMBA_CACHE_DIR`` overrides it). With ``NUMBA_DISABLE_JIT=1`` the same functions run as Python, for a
+debugger or to measure coverage.
+
+Numba looks only at a function's own file to see whether kept code is stale, not at those of what it calls.
+Here the name of what is kept has a fingerprint of all sources that went into it.
 """
 
 from __future__ import annotations
 
+import hashlib
+import inspect
+import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from types import CodeType, ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import event
+from numba.core.caching import IndexDataCacheFile
 
 __all__ = ["announce_compilation", "cache_folder", "compiled"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 _FUNCTIONS: list[Any] = []
+_FINGERPRINTS: dict[int, str] = {}
 
 
 def compiled(function: F) -> F:
     """Decorate a function so that it is compiled for the types that it is called with.
 
-    Division by zero gives infinity, as NumPy's; array bounds are not checked (``NUMBA_BOUNDSCHECK=1`` checks them).
+    Division by zero gives infinity, as NumPy's; array bounds are not checked (``NUMBA_BOUNDSCHECK=1``
+    checks them).
     """
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     try:
         dispatcher = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no folder that may be written: compiled anew in each process
         dispatcher = numba.njit(**options)(function)
+    _FINGERPRINTS[id(dispatcher)] = mark = _fingerprint(function)
+    kept: Any = getattr(dispatcher, "_cache", None)
+    if hasattr(kept, "_cache_file"):
+        name = f"{kept._impl.filename_base}-{mark}"
+        kept._cache_file = IndexDataCacheFile(kept.cache_path, name, mark)
     _FUNCTIONS.append(dispatcher)
     return cast(F, dispatcher)
 
@@ -43,6 +60,34 @@ def cache_folder() -> Path | None:
         if path is not None:
             return Path(path)
     return None
+
+
+def _fingerprint(function: Callable[..., Any]) -> str:
+    """Of a function's file, the compiled functions that it calls, and the constants and types it uses."""
+    parts = [_source_mark(function.__module__)]
+    for name in sorted(_names(function.__code__)):
+        value = function.__globals__.get(name)
+        if id(value) in _FINGERPRINTS:
+            parts.append(_FINGERPRINTS[id(value)])
+        elif isinstance(value, type) and value.__module__.startswith("estimator."):
+            parts.append(_source_mark(value.__module__))
+        elif isinstance(value, (bool, int, float, tuple)):
+            parts.append(repr(value))
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
+
+
+def _names(code: CodeType) -> set[str]:
+    """Global names that code refers to, that of functions inside it included."""
+    inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
+    return set(code.co_names).union(*(_names(each) for each in inner))
+
+
+@cache
+def _source_mark(module: str) -> str:
+    """A fingerprint of a module's file."""
+    found: ModuleType = sys.modules[module]
+    path = inspect.getsourcefile(found)
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest() if path else module
 
 
 class _Announcer(event.Listener):  # type: ignore[misc]
