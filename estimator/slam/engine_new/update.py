@@ -18,7 +18,8 @@ from estimator.compiled import compiled
 from estimator.slam.association.belief_propagation import associate
 from estimator.slam.association.exchange import best_exchange
 from estimator.slam.association.gating import GatedPairs, GateModel, gate, path_variance, still_fitting
-from estimator.slam.engine_new.branching import Branches, BranchModel, empty_branches, resolve
+from estimator.slam.engine_new.branches import Branches, empty_branches
+from estimator.slam.engine_new.branching import BranchModel, resolve
 from estimator.slam.engine_new.polar_correction import correct_along_circles
 from estimator.slam.models.directions import update_by_directions
 from estimator.slam.models.epoch_paths import EpochPaths
