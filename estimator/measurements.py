@@ -58,13 +58,13 @@ Array = NDArray[np.float64]
 
 def _finite(name: str, value: object, shape: tuple[int | None, ...]) -> Array:
     array = np.array(value, dtype=np.float64)
-    matches = array.ndim == len(shape) and all(
-        want is None or want == got for want, got in zip(shape, array.shape, strict=True)
-    )
-    if not matches:
+    if array.shape != shape and (
+        array.ndim != len(shape)
+        or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True))
+    ):
         wanted = tuple("n" if want is None else want for want in shape)
         raise InputError(f"{name}: expected shape {wanted}, got {array.shape}")
-    if not np.all(np.isfinite(array)):
+    if not np.isfinite(array).all():
         raise InputError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
     array.flags.writeable = False
     return array
@@ -101,9 +101,9 @@ class AnchorPaths:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _finite(name, getattr(self, name), delay.shape))
         object.__setattr__(self, "delay_s", delay)
-        if np.any(delay <= 0.0):
+        if (delay <= 0.0).any():
             raise InputError(f"delay_s: expected positive times of flight, got {delay.min()} s")
-        if np.any(self.delay_std_s <= 0.0):
+        if (self.delay_std_s <= 0.0).any():
             raise InputError(f"delay_std_s: expected positive numbers, got {self.delay_std_s.min()} s")
         if (self.azimuth_rad is None) != (self.azimuth_std_rad is None):
             raise InputError("azimuth_rad, azimuth_std_rad: expected both or neither, got one of them")

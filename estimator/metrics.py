@@ -20,8 +20,6 @@ from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.stats import chi2
 
 from estimator.errors import InputError
 
@@ -29,12 +27,15 @@ __all__ = [
     "best_rotation",
     "derotated",
     "distances",
+    "gaps",
     "match",
+    "match_of",
     "mean_absolute_error",
     "mospa",
     "nees",
     "nees_band",
     "ospa",
+    "ospa_of",
     "root_mean_square_error",
 ]
 
@@ -197,6 +198,8 @@ def nees_band(dimensions: int, samples: int = 1, probability: float = 0.95) -> t
     tuple of float
         Quantiles of chi-square with ``n * samples`` degrees of freedom, divided by them.
     """
+    from scipy.stats import chi2
+
     freedom = dimensions * samples
     tail = 0.5 * (1.0 - probability)
     return float(chi2.ppf(tail, freedom) / freedom), float(chi2.isf(tail, freedom) / freedom)
@@ -220,9 +223,17 @@ def match(estimate: ArrayLike, truth: ArrayLike, gate_m: float) -> list[tuple[in
     list of (int, int)
         Pairs (row of estimate, row of truth), ascending.
     """
-    gap = _gaps(estimate, truth)
-    rows, columns = linear_sum_assignment(np.minimum(gap, gate_m))
-    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if gap[i, j] <= gate_m]
+    rows, columns = match_of(gaps(_set("estimate", estimate), _set("truth", truth)), gate_m)
+    return list(zip(rows.tolist(), columns.tolist(), strict=True))
+
+
+def match_of(gap_m: Array, gate_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of :func:`match`, ascending, from the distances of all pairs, shape (m, n)."""
+    from scipy.optimize import linear_sum_assignment
+
+    rows, columns = linear_sum_assignment(np.minimum(gap_m, gate_m))
+    near = gap_m[rows, columns] <= gate_m
+    return rows[near], columns[near]
 
 
 def ospa(estimate: ArrayLike, truth: ArrayLike, cutoff_m: float = 10.0, order: float = 1.0) -> float:
@@ -253,13 +264,32 @@ def ospa(estimate: ArrayLike, truth: ArrayLike, cutoff_m: float = 10.0, order: f
         raise InputError(f"cutoff_m: expected a positive number, got {cutoff_m}")
     if not order >= 1.0:
         raise InputError(f"order: expected at least 1, got {order}")
-    gap = np.minimum(_gaps(estimate, truth), cutoff_m) ** order
-    larger = max(gap.shape)
+    return ospa_of(gaps(_set("estimate", estimate), _set("truth", truth)), cutoff_m, order)
+
+
+def ospa_of(gap_m: Array, cutoff_m: float, order: float = 1.0) -> float:
+    """OSPA distance from the distances of all pairs, see :func:`ospa`.
+
+    Parameters
+    ----------
+    gap_m : ndarray, shape (m, n)
+        Distances of estimates from truths, metres.
+    cutoff_m, order
+        As in :func:`ospa`.
+
+    Returns
+    -------
+    float
+        Metres.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    larger, smaller = max(gap_m.shape), min(gap_m.shape)
     if larger == 0:
         return 0.0
-    rows, columns = linear_sum_assignment(gap)
-    surplus = (larger - min(gap.shape)) * cutoff_m**order
-    return float(((gap[rows, columns].sum() + surplus) / larger) ** (1.0 / order))
+    cost = np.minimum(gap_m, cutoff_m) ** order
+    surplus = (larger - smaller) * cutoff_m**order
+    return float(((cost[linear_sum_assignment(cost)].sum() + surplus) / larger) ** (1.0 / order))
 
 
 def mospa(
@@ -293,6 +323,7 @@ def mospa(
     return float(np.mean([ospa(estimate, truth, cutoff_m, order) for estimate, truth in pairs]))
 
 
-def _gaps(estimate: ArrayLike, truth: ArrayLike) -> Array:
-    """Distances of all pairs, shape (m, n)."""
-    return np.asarray(np.linalg.norm(_set("estimate", estimate)[:, None] - _set("truth", truth), axis=-1))
+def gaps(estimate_m: Array, truth_m: Array) -> Array:
+    """Distances of all pairs of points, shapes (..., m, 2) and (n, 2) to (..., m, n)."""
+    offset = estimate_m[..., :, None, :] - truth_m
+    return np.hypot(offset[..., 0], offset[..., 1])

@@ -142,22 +142,23 @@ def simulate_epochs(
 def _hear(lengths: Array, azimuths: Array, config: SimulationConfig, rng: np.random.Generator) -> AnchorPaths:
     """One anchor's paths in one epoch."""
     detected = rng.random(lengths.size) < config.detection_probability
-    count = int(detected.sum())
-    noisy = lengths[detected] + config.clock_bias_m + rng.normal(scale=config.range_std_m, size=count)
+    true = lengths[detected]
+    noisy = true + config.clock_bias_m + rng.normal(scale=config.range_std_m, size=true.size)
     clutter = rng.uniform(0.0, config.region_m, size=rng.poisson(config.clutter_mean))
     ranges = np.concatenate([noisy, clutter])
-    order = np.argsort(ranges, kind="stable")
-    order = order[(ranges[order] > 0.0) & (ranges[order] <= config.region_m)]
-    std_s = np.full(order.size, config.range_std_m / SPEED_OF_LIGHT_M_S)
+    order = ranges.argsort(kind="stable")
+    ranges = ranges[order]
+    kept = (ranges > 0.0) & (ranges <= config.region_m)
+    delay_s = ranges[kept] / SPEED_OF_LIGHT_M_S
+    std_s = np.full(delay_s.size, config.range_std_m / SPEED_OF_LIGHT_M_S)
     if config.azimuth_std_rad == 0.0:
-        return AnchorPaths(ranges[order] / SPEED_OF_LIGHT_M_S, std_s)
-    true = azimuths[detected] + rng.normal(scale=config.azimuth_std_rad, size=count)
+        return AnchorPaths(delay_s, std_s)
+    order = order[kept]
+    true = azimuths[detected] + rng.normal(scale=config.azimuth_std_rad, size=true.size)
     every = np.concatenate([true, rng.uniform(-np.pi, np.pi, size=clutter.size)])
     azimuth = np.angle(np.exp(1j * every[order]))
     azimuth_std = np.full(order.size, config.azimuth_std_rad)
-    return AnchorPaths(
-        ranges[order] / SPEED_OF_LIGHT_M_S, std_s, azimuth_rad=azimuth, azimuth_std_rad=azimuth_std
-    )
+    return AnchorPaths(delay_s, std_s, azimuth_rad=azimuth, azimuth_std_rad=azimuth_std)
 
 
 def walls_in_view(start_m: ArrayLike, end_m: ArrayLike, position_m: ArrayLike) -> list[int]:
@@ -229,6 +230,7 @@ def measure_scene(
     config: SimulationConfig,
     rng: np.random.Generator,
     know_anchors: bool = False,
+    paths: SpecularPaths | None = None,
 ) -> MeasurementSet:
     """Measurements of a run through a room: the first walls with variances, all epochs.
 
@@ -250,12 +252,15 @@ def measure_scene(
         Source of randomness.
     know_anchors : bool
         Whether the measurements say where the anchors are.
+    paths : SpecularPaths, optional
+        The true paths of up to ``config.order`` bounces, where they have been traced already.
     """
     reference = np.asarray(track_m, dtype=np.float64)[0]
     sensed = len(wall_variances_m2)
     vrps = vrp_of_line(start_m, end_m, reference)[:sensed] - reference
     walls = simulate_walls(vrps, wall_variances_m2, rng)
-    paths = specular_paths(start_m, end_m, anchors_m, track_m, config.order)
+    if paths is None:
+        paths = specular_paths(start_m, end_m, anchors_m, track_m, config.order)
     epochs = simulate_epochs(paths, config, rng)
     if config.sweep_every:
         epochs = tuple(_with_sweep(epoch, start_m, end_m, track_m, config, rng) for epoch in epochs)

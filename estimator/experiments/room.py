@@ -93,6 +93,7 @@ class Room:
             config,
             np.random.default_rng(seed),
             know_anchors=know_anchors,
+            paths=truth.paths(config.order),
         )
 
 

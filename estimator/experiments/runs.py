@@ -13,7 +13,7 @@ from estimator.evaluation import EvaluationConfig
 from estimator.experiments.cases import Case
 from estimator.experiments.room import Room
 from estimator.measurements import MeasurementSet
-from estimator.metrics import best_rotation, derotated, distances, match, nees, ospa
+from estimator.metrics import best_rotation, derotated, distances, gaps, match, match_of, nees, ospa_of
 from estimator.result import SlamResult
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.run import config_for, run_slam
@@ -160,10 +160,10 @@ def score(result: SlamResult, room: Room, seconds: float = 0.0) -> Score:
     """Compare a result with the truth of its room."""
     track = result.agent_mean[:, :2]
     turn = float(best_rotation(track, room.track_m))
-    vrps = room.scenario.vrps_m
+    gap = gaps(result.wall_mean_m, room.scenario.vrps_m)
     set_distance = [
-        ospa(_required(mean[valid], vrps, due), vrps[due], _JUDGE.ospa_cutoff_m, _JUDGE.ospa_order)
-        for mean, valid, due in zip(result.wall_mean_m, result.wall_valid, room.walls_due, strict=True)
+        ospa_of(_required(gap[t, valid], due), _JUDGE.ospa_cutoff_m, _JUDGE.ospa_order)
+        for t, (valid, due) in enumerate(zip(result.wall_valid, room.walls_due, strict=True))
     ]
     false, delays = _walls(result, room, turn)
     return Score(
@@ -178,10 +178,14 @@ def score(result: SlamResult, room: Room, seconds: float = 0.0) -> Score:
     )
 
 
-def _required(estimates: Array, vrps: Array, due: NDArray[np.bool_]) -> Array:
-    """The estimates but for those of walls that are there and need not be found: none of them is too many."""
-    spare = [i for i, wall in match(estimates, vrps, _JUDGE.wall_gate_m) if not due[wall]]
-    return np.delete(estimates, spare, axis=0)
+def _required(gap: Array, due: NDArray[np.bool_]) -> Array:
+    """Distances (m, L) of estimates from walls without the rows and columns of walls that need not be found.
+
+    The estimate of such a wall is none too many.
+    """
+    rows, walls = match_of(gap, _JUDGE.wall_gate_m)
+    spare = rows[~due[walls]]
+    return (np.delete(gap, spare, axis=0) if spare.size else gap)[:, due]
 
 
 def _nees(error: Array, covariance: Array) -> Array:

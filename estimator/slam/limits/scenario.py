@@ -21,7 +21,7 @@ from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import vrp_of_line
 from estimator.slam.features import predict_azimuths, predict_paths
 from estimator.slam.layout import Layout
-from estimator.specular import specular_paths
+from estimator.specular import SpecularPaths, specular_paths
 
 __all__ = ["Observation", "Scenario", "Sensing"]
 
@@ -151,6 +151,7 @@ class Scenario:
     anchors_m: Array
     track_m: Array
     step_s: float = 1.0
+    _paths: dict[int, SpecularPaths] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("start_m", "end_m", "anchors_m", "track_m"):
@@ -187,10 +188,16 @@ class Scenario:
         states[:, layout.walls] = self.vrps_m.ravel()
         return states
 
+    def paths(self, order: int = 1) -> SpecularPaths:
+        """Paths of up to ``order`` bounces, traced once."""
+        if order not in self._paths:
+            self._paths[order] = specular_paths(self.start_m, self.end_m, self.anchors_m, self.track_m, order)
+        return self._paths[order]
+
     def visible(self, order: int = 1) -> NDArray[np.bool_]:
         """Paths that exist, shape (T, K, F), features as in :mod:`estimator.slam.features`."""
         layout = self.layout
-        paths = specular_paths(self.start_m, self.end_m, self.anchors_m, self.track_m, order)
+        paths = self.paths(order)
         seen = np.zeros((*paths.visible.shape[:2], layout.features), dtype=bool)
         for i, walls in enumerate(paths.walls):
             seen[..., _feature(walls, layout.slots)] = paths.visible[..., i]
