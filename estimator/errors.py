@@ -15,6 +15,7 @@ __all__ = [
     "HapslamError",
     "InputError",
     "OutputExistsError",
+    "WorkerLostError",
 ]
 
 
@@ -43,4 +44,8 @@ class OutputExistsError(InputError):
 
 
 class BackendError(HapslamError, RuntimeError):
-    """The ray tracer cannot run on this machine; the message holds the remedy."""
+    """The ray tracer or a cluster cannot run here; the message holds the remedy."""
+
+
+class WorkerLostError(BackendError):
+    """A process that did a part of the work was killed, by the system perhaps."""

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from estimator.errors import BackendError, ConfigurationError
+from estimator.errors import BackendError, ConfigurationError, WorkerLostError
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future
@@ -64,7 +64,7 @@ class Workers:
 
         Raises
         ------
-        BackendError
+        WorkerLostError
             If a worker process was killed.
         """
         if self.executor is None:
@@ -84,7 +84,7 @@ class Workers:
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                 yield from (future.result() for future in done)
         except BrokenProcessPool as error:
-            raise BackendError(
+            raise WorkerLostError(
                 "jobs: expected worker processes to finish, one was killed (out of memory?); try fewer --jobs"
             ) from error
         finally:
@@ -110,7 +110,7 @@ class Workers:
 
         Raises
         ------
-        BackendError
+        WorkerLostError
             If a worker process was killed.
         """
         size = 1 if self.executor is None else -(-len(tasks) // (_CHUNKS_PER_WORKER * self.count))

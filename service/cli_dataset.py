@@ -78,16 +78,16 @@ def trace(
 
     If the plan has several agents, the folder holds a dataset of each.
     """
+    from estimator.executors import open_workers
     from raytrace.dataset.agents import generate_agents
     from raytrace.dataset.generate import generate_part
     from raytrace.dataset.output import Output
-    from raytrace.dataset.workers import workers
     from raytrace.plan.files import load_floorplan
 
     plan = load_floorplan(scene)
     output = Output(shard_epochs, content, licence)
     portion = None if part is None else _part(part)
-    with workers(jobs, scheduler) as crew, Reporter(quiet).stage("trace") as advance:
+    with open_workers(jobs, scheduler) as crew, Reporter(quiet).stage("trace") as advance:
         if portion is None:
             generate_agents(plan, out, seed, advance, output=output, resume=resume, crew=crew)
         else:
@@ -102,10 +102,10 @@ def campaign(
     quiet: Quiet = False,
 ) -> None:
     """Trace many scenes, set-ups and seeds; what was broken off goes on."""
+    from estimator.executors import open_workers
     from raytrace.dataset.campaign import run_campaign
-    from raytrace.dataset.workers import workers
 
-    with workers(jobs, scheduler) as crew, Reporter(quiet).stage("campaign") as advance:
+    with open_workers(jobs, scheduler) as crew, Reporter(quiet).stage("campaign") as advance:
         for dataset in run_campaign(file, out, advance, crew):
             _print(str(dataset))
 
@@ -118,10 +118,10 @@ def append(
     quiet: Quiet = False,
 ) -> None:
     """Let the agent walk on along its way-points; what is there stays."""
+    from estimator.executors import open_workers
     from raytrace.dataset.append import append as run
-    from raytrace.dataset.workers import workers
 
-    with workers(jobs, scheduler) as crew, Reporter(quiet).stage("append") as advance:
+    with open_workers(jobs, scheduler) as crew, Reporter(quiet).stage("append") as advance:
         run(dataset, epochs, advance, crew)
 
 

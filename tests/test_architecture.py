@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-SHARED = {"errors", "geometry", "arrays", "waveform", "dataset", "threads"}
+SHARED = {"errors", "geometry", "arrays", "waveform", "dataset", "threads", "executors"}
 LATE = {"cli.py", "cli_dataset.py", "cli_scene.py", "raytrace_rows.py"}  # of the service, import raytrace
 
 BLOCKED = """

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from estimator.executors import Workers
 from raytrace.dataset.generate import generate
 from raytrace.dataset.journal import require_place
 from raytrace.dataset.output import Output
 from raytrace.dataset.shard_task import Progress
-from raytrace.dataset.workers import Workers
 from raytrace.plan.floorplan import FloorPlan
 
 __all__ = ["generate_agents", "seed_of"]

@@ -21,6 +21,7 @@ from estimator.dataset import (
     remove_temporaries,
 )
 from estimator.errors import ConfigurationError
+from estimator.executors import Workers
 from raytrace.dataset.finish import finish
 from raytrace.dataset.generate import make_shards
 from raytrace.dataset.journal import claimed, require_same, whole_shards
@@ -28,7 +29,6 @@ from raytrace.dataset.manifest import head
 from raytrace.dataset.output import Output
 from raytrace.dataset.shard_task import Progress
 from raytrace.dataset.shards import stored_plan
-from raytrace.dataset.workers import Workers
 from raytrace.plan.files import updated
 from raytrace.propagation.backend import prepare
 

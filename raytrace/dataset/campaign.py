@@ -25,11 +25,11 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from estimator.errors import FileFormatError
+from estimator.executors import Workers
 from raytrace.dataset.agents import generate_agents
 from raytrace.dataset.journal import require_place
 from raytrace.dataset.output import Output
 from raytrace.dataset.shard_task import Progress
-from raytrace.dataset.workers import Workers
 from raytrace.plan.errors import one_line
 from raytrace.plan.files import load_floorplan, updated
 from raytrace.plan.floorplan import FloorPlan

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from estimator.dataset import Dataset, DatasetWriter, open_dataset
-from estimator.errors import ConfigurationError
+from estimator.errors import ConfigurationError, WorkerLostError
+from estimator.executors import Workers
 from raytrace.dataset.finish import finish
 from raytrace.dataset.journal import journal, require_place
 from raytrace.dataset.manifest import head
 from raytrace.dataset.output import Output
 from raytrace.dataset.shard_task import Progress, ShardTask, Stages, make_shard
-from raytrace.dataset.workers import Workers
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.backend import prepare
 from raytrace.propagation.passive import TraceReport
@@ -185,6 +185,11 @@ def make_shards(
     -------
     dict
         Seconds of each stage, over all shards.
+
+    Raises
+    ------
+    WorkerLostError
+        If a worker process was killed; the shards that are finished stay.
     """
     ranges = output.ranges(plan.agent.epochs)
     there = {tuple(entry["epochs"]) for entry in writer.shards}
@@ -197,11 +202,15 @@ def make_shards(
     pace = _Pace(None if alone else progress, total - sum(task.stop - task.first for task in tasks), total)
     work = partial(make_shard, folder=writer.path.resolve(), stages=stages if alone else None)
     seconds: dict[str, float] = {}
-    for made in crew.run(work, tasks):
-        writer.add(*made.entries)
-        for stage, spent in made.seconds.items():
-            seconds[stage] = seconds.get(stage, 0.0) + spent
-        pace.advance(made.stop - made.first)
+    try:
+        for made in crew.unordered(work, tasks):
+            writer.add(*made.entries)
+            for stage, spent in made.seconds.items():
+                seconds[stage] = seconds.get(stage, 0.0) + spent
+            pace.advance(made.stop - made.first)
+    except WorkerLostError as error:
+        error.add_note("go on with --resume")
+        raise
     return seconds
 
 

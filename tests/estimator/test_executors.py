@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from estimator.errors import BackendError, ConfigurationError, InputError
+from estimator.errors import BackendError, ConfigurationError, InputError, WorkerLostError
 from estimator.executors import Workers, available_cores, open_workers
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -96,7 +96,7 @@ def test_a_failing_task_fails_all_at_once() -> None:
 
 def test_a_killed_process_is_told() -> None:
     """A worker that dies is an error in one line, not a hang."""
-    with open_workers(2) as workers, pytest.raises(BackendError, match="one was killed .*fewer --jobs"):
+    with open_workers(2) as workers, pytest.raises(WorkerLostError, match="one was killed .*fewer --jobs"):
         workers.map(_die, range(3))
 
 
