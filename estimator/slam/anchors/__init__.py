@@ -1,1 +1,11 @@
-"""Where an anchor is: candidates from the paths of an epoch, IV-B1, and its start in the Gaussian filter."""
+"""Where anchors may stand: places searched from path lengths with unknown labels, and hypotheses that branch.
+
+Engine-agnostic: an engine hands its hypotheses and plain values over (:func:`locate_anchors`).
+"""
+
+from estimator.slam.anchors.config import AnchorSearchConfig
+from estimator.slam.anchors.initialise import SearchInput, locate_anchors
+from estimator.slam.anchors.observations import RecentPaths, RecentTrack
+from estimator.slam.anchors.schedule import is_due
+
+__all__ = ["AnchorSearchConfig", "RecentPaths", "RecentTrack", "SearchInput", "is_due", "locate_anchors"]

@@ -1,101 +1,145 @@
 """Where an anchor can be, given one path length: circles round the agent and round its images.
 
-A mirror keeps lengths, so the path that leaves the anchor and bounces off wall ``l``
-is as long as the straight way from the anchor to the *agent's* image in ``l``.
+A mirror keeps lengths, so the path that leaves the anchor and bounces off wall ``l`` is as long as the
+straight way from the anchor to the *agent's* image in ``l``, and one over two walls as long as the way to
+the image of an image. At most ``1 + L + max_wall_pairs`` circles a path and epoch.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.slam.features import reflect
+from estimator.compiled import compiled
 
-__all__ = ["Centres", "images_of_agent", "intersections"]
+__all__ = ["Circles", "image_circles", "intersect", "met_wall_pairs"]
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
-class Centres:
-    """Circle centres of one or more epochs.
+class Circles(NamedTuple):
+    """Centres of circles at E epochs: the agent, its images in L walls, its images in P pairs of walls.
 
     Parameters
     ----------
-    point_m : ndarray, shape (C, 2)
-        The agent and its images.
-    covariance_m2 : ndarray, shape (C, 2, 2)
-        Their covariances.
-    bounces : ndarray of int64, shape (C,)
-        0 for the agent, 1 for an image in a wall, 2 for an image of an image.
-    epoch : ndarray of int64, shape (C,)
-        The epoch it belongs to.
-    wall, behind : ndarray of int64, shape (C,)
-        Wall of the first image and of the second, -1 where there is none.
+    x, y : ndarray, shape (E, Q)
+        Centres, Q = 1 + L + P, metres.
+    xx, xy, yy : ndarray, shape (E, Q)
+        Their covariances, square metres.
+    walls : int
+        L: the first 1 + L centres are of up to one bounce.
     """
 
-    point_m: Array
-    covariance_m2: Array
-    bounces: NDArray[np.int64]
-    epoch: NDArray[np.int64]
-    wall: NDArray[np.int64]
-    behind: NDArray[np.int64]
+    x: Array
+    y: Array
+    xx: Array
+    xy: Array
+    yy: Array
+    walls: int
 
 
-def images_of_agent(
-    position: Array,
-    position_variance: float,
-    walls: Array,
-    wall_covariance: Array,
-    slots: NDArray[np.int64],
-    epoch: int,
-) -> Centres:
-    """The agent and its images in the walls, up to two bounces.
+@compiled
+def _mirrored(x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
+    """Image of a point in the wall of a VRP, RP at the origin (equation (2))."""
+    scale = 1.0 - 2.0 * (x * vx + y * vy) / (vx * vx + vy * vy)
+    return x + scale * vx, y + scale * vy
+
+
+@compiled
+def image_circles(
+    position: Array, variance: Array, vrp: Array, vrp_covariance: Array, pairs: Index
+) -> Circles:
+    """The circles of some epochs.
 
     Parameters
     ----------
-    position : ndarray, shape (2,)
+    position : ndarray, shape (E, 2)
         Agent, gauge frame, metres.
-    position_variance : float
+    variance : ndarray, shape (E,)
         Its variance per axis, square metres.
-    walls : ndarray, shape (L, 2)
-        VRPs.
-    wall_covariance : ndarray, shape (L, 2, 2)
-        Their covariances.
-    slots : ndarray of int64, shape (L,)
-        Numbers to give the walls.
-    epoch : int
-        Number of the epoch.
+    vrp, vrp_covariance : ndarray, shapes (L, 2), (L, 2, 2)
+        Walls.
+    pairs : ndarray of int64, shape (P, 2)
+        Pairs of walls, as :func:`met_wall_pairs` gives them.
     """
-    count = len(walls)
-    first = reflect(np.broadcast_to(position, (count, 2)), walls)
-    own = position_variance * np.eye(2)
-    covariance = own + wall_covariance
-    # from the anchor over a near, then a far wall: the image in the near of the image in the far
-    near, far = np.nonzero(~np.eye(count, dtype=bool))
-    second = reflect(first[far], walls[near])
-    none = np.full(1, -1)
-    return Centres(
-        np.concatenate([position[None], first, second]),
-        np.concatenate([own[None], covariance, covariance[near] + wall_covariance[far]]),
-        np.repeat([0, 1, 2], [1, count, near.size]),
-        np.full(1 + count + near.size, epoch),
-        np.concatenate([none, slots, slots[near]]),
-        np.concatenate([none, np.full(count, -1), slots[far]]),
-    )
+    epochs, walls = len(position), len(vrp)
+    count = 1 + walls + len(pairs)
+    x, y = np.empty((epochs, count)), np.empty((epochs, count))
+    xx, xy, yy = np.empty((epochs, count)), np.empty((epochs, count)), np.empty((epochs, count))
+    for e in range(epochs):
+        x[e, 0], y[e, 0] = position[e, 0], position[e, 1]
+        xx[e, 0], xy[e, 0], yy[e, 0] = variance[e], 0.0, variance[e]
+        for w in range(walls):
+            x[e, 1 + w], y[e, 1 + w] = _mirrored(position[e, 0], position[e, 1], vrp[w, 0], vrp[w, 1])
+            xx[e, 1 + w] = variance[e] + vrp_covariance[w, 0, 0]
+            xy[e, 1 + w] = vrp_covariance[w, 0, 1]
+            yy[e, 1 + w] = variance[e] + vrp_covariance[w, 1, 1]
+        for p in range(len(pairs)):
+            near, far, q = pairs[p, 0], pairs[p, 1], 1 + walls + p
+            x[e, q], y[e, q] = _mirrored(x[e, 1 + far], y[e, 1 + far], vrp[near, 0], vrp[near, 1])
+            xx[e, q] = xx[e, 1 + near] + vrp_covariance[far, 0, 0]
+            xy[e, q] = xy[e, 1 + near] + vrp_covariance[far, 0, 1]
+            yy[e, q] = yy[e, 1 + near] + vrp_covariance[far, 1, 1]
+    return Circles(x, y, xx, xy, yy, walls)
 
 
-def intersections(centres: Array, radii: Array) -> Array:
-    """Intersections (P, 2, 2) of pairs of circles, centres (P, 2, 2) and radii (P, 2); NaN if apart."""
-    offset = centres[:, 1] - centres[:, 0]
-    distance = np.linalg.norm(offset, axis=1)
-    distance = np.where(distance > 1e-6, distance, np.nan)
-    along = (distance**2 + radii[:, 0] ** 2 - radii[:, 1] ** 2) / (2.0 * distance)
-    height2 = radii[:, 0] ** 2 - along**2
-    height = np.sqrt(np.where(height2 > -1.0, np.maximum(height2, 0.0), np.nan))
-    unit = offset / distance[:, None]
-    foot = centres[:, 0] + along[:, None] * unit
-    side = np.stack([-unit[:, 1], unit[:, 0]], axis=1) * height[:, None]
-    return np.stack([foot + side, foot - side], axis=1)
+@compiled
+def met_wall_pairs(position: Array, vrp: Array, margin: float, limit: int) -> Index:
+    """Ordered pairs (P, 2) of walls over which a path can come from anywhere to one of the positions (E, 2).
+
+    From the anchor over the near wall, then the far one: the agent's image in the far wall has to stand on
+    the agent's side of the near one, give or take ``margin`` metres, or the ray would leave the far wall
+    away from the near one. If there are more than ``limit``, those whose paths can be the shortest: none is
+    shorter than the way from that image to the near wall.
+    """
+    walls, epochs = len(vrp), len(position)
+    pairs = np.empty((walls * walls, 2), dtype=np.int64)
+    least = np.empty(walls * walls)
+    count = 0
+    for near in range(walls):
+        size = np.sqrt(vrp[near, 0] ** 2 + vrp[near, 1] ** 2)
+        for far in range(walls):
+            if far == near:
+                continue
+            best = np.inf
+            for e in range(epochs):
+                x, y = position[e, 0], position[e, 1]
+                side = (x * vrp[near, 0] + y * vrp[near, 1]) / size - 0.5 * size
+                ix, iy = _mirrored(x, y, vrp[far, 0], vrp[far, 1])
+                image = (ix * vrp[near, 0] + iy * vrp[near, 1]) / size - 0.5 * size
+                towards = image if side > 0.0 else -image
+                if towards > -margin:
+                    best = min(best, max(towards, 0.0))
+            if best < np.inf:
+                pairs[count, 0], pairs[count, 1], least[count] = near, far, best
+                count += 1
+    pairs, least = pairs[:count], least[:count]
+    if count > limit:
+        chosen = np.sort(np.argsort(least, kind="mergesort")[:limit])
+        return pairs[chosen]
+    return pairs.copy()
+
+
+@compiled
+def intersect(
+    ax: float, ay: float, ar: float, bx: float, by: float, br: float, touch: float
+) -> tuple[float, float, float, float]:
+    """The two points where circles of centres (ax, ay), (bx, by) and radii ar, br meet; NaN if apart.
+
+    Circles that miss each other touch, if the squared height of the triangle is more than ``-touch``, m^2.
+    """
+    dx, dy = bx - ax, by - ay
+    distance = np.sqrt(dx * dx + dy * dy)
+    if not distance > 1e-6:
+        return np.nan, np.nan, np.nan, np.nan
+    along = (distance * distance + ar * ar - br * br) / (2.0 * distance)
+    height2 = ar * ar - along * along
+    if not height2 > -touch:
+        return np.nan, np.nan, np.nan, np.nan
+    height = np.sqrt(max(height2, 0.0))
+    ux, uy = dx / distance, dy / distance
+    fx, fy = ax + along * ux, ay + along * uy
+    return fx - uy * height, fy + ux * height, fx + uy * height, fy - ux * height

@@ -1,69 +1,169 @@
-"""Which path of an epoch came which way, if an anchor stands about there: all labellings that may be."""
+"""Path-to-feature assignments of a candidate place.
+
+The search holds the walls fixed, whose errors exchange paths of similar length. Here every circle of up to
+one bounce takes any path near the expected length, or none. Of each place the best ``max_labellings`` are
+found by branch and bound, which looks at ``max_labelling_nodes`` partial ones at most.
+"""
 
 from __future__ import annotations
-
-from itertools import islice, product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.slam.anchors.circles import Centres
-from estimator.slam.anchors.search import Candidates
-from estimator.slam.features import wall_side
+from estimator.compiled import compiled
+from estimator.slam.anchors.circles import Circles
+from estimator.slam.anchors.config import AnchorSearchConfig
+from estimator.slam.anchors.likelihood import Place, expected_length, is_behind
+from estimator.slam.anchors.search import Candidates, Scene
 
-__all__ = ["labellings"]
+__all__ = ["labellings", "labellings_at"]
 
 Array = NDArray[np.float64]
-_MOST_LABELLINGS, _KEPT_LABELLINGS = 4096, 24  # tried, and kept, of each candidate place
-_WORSE = 1.2  # than the best: a path left out counts 1, and errors as their squares say
-_ALIKE_M = 3.0  # lengths that the walls' errors may exchange
+Index = NDArray[np.int64]
 
 
 def labellings(
-    found: Candidates, centres: Centres, length: Array, walls: dict[int, Array]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Labels that this epoch's paths may have, seen from each candidate place.
-
-    The candidates' own labels hold the walls fixed, whose errors exchange paths of similar length. Here
-    every centre takes any path near the expected length, or none.
+    found: Candidates, scene: Scene, length_m: Array, config: AnchorSearchConfig
+) -> tuple[Index, Index]:
+    """Labels that the present epoch's paths may have, seen from each candidate place.
 
     Parameters
     ----------
     found : Candidates
-        Places, shape (S, 2).
-    centres : Centres
-        This epoch's, of up to one bounce.
-    length : ndarray, shape (M,)
-        Path lengths.
-    walls : dict of int to ndarray, shape (2,)
-        VRPs.
+        Places.
+    scene : Scene
+        Where they were found.
+    length_m : ndarray, shape (M,)
+        Path lengths of the present epoch, in the order that labels refer to.
+    config : AnchorSearchConfig
+        Limits.
 
     Returns
     -------
     candidate : ndarray of int64, shape (V,)
         The candidate of each labelling.
-    label : ndarray of int64, shape (V, C)
-        The path of each centre, -1 for none.
+    label : ndarray of int64, shape (V, 1 + L)
+        The path of the line of sight and of each wall, -1 for none.
     """
-    gap = (
-        length
-        - found.bias_m[:, None, None]
-        - np.linalg.norm(found.mean_m[:, None] - centres.point_m, axis=-1)[..., None]
-    )
-    near = np.abs(gap) < _ALIKE_M  # (S, C, M)
-    for c in np.flatnonzero(centres.wall >= 0):
-        near[:, c] &= (wall_side(found.mean_m, walls[int(centres.wall[c])]) < 0.0)[:, None]
     candidate, label = [], []
-    for s in range(len(gap)):
-        options = [[-1, *np.flatnonzero(row).tolist()] for row in near[s]]
-        rated = []
-        for chosen in islice(product(*options), _MOST_LABELLINGS):
-            used = [j for j in chosen if j >= 0]
-            if len(set(used)) == len(used):
-                off = sum(gap[s, c, j] ** 2 for c, j in enumerate(chosen) if j >= 0)
-                rated.append((0.5 * off / _ALIKE_M**2 - len(used), chosen))
-        least = min(rated)[0] + _WORSE
-        for _, chosen in sorted(each for each in rated if each[0] < least)[:_KEPT_LABELLINGS]:
-            candidate.append(s)
-            label.append(chosen)
-    return np.array(candidate), np.array(label)
+    for s in range(len(found)):
+        place = Place(
+            float(found.mean_m[s, 0]),
+            float(found.mean_m[s, 1]),
+            float(found.bias_m[s]),
+            float(found.height2_m2[s]),
+        )
+        own = labellings_at(
+            place,
+            scene.circles,
+            scene.vrp_m,
+            length_m,
+            config.labelling_gap_m,
+            config.labelling_slack,
+            config.max_labellings,
+            config.max_labelling_nodes,
+        )
+        candidate.append(np.full(len(own), s))
+        label.append(own)
+    return np.concatenate(candidate), np.concatenate(label)
+
+
+@compiled
+def _options(
+    place: Place, circles: Circles, vrp: Array, length: Array, farthest: float
+) -> tuple[Index, Index, Array]:
+    """What each circle of the last epoch may take, cheapest first: how many, which paths, at what cost."""
+    e, count, paths = len(circles.x) - 1, 1 + circles.walls, len(length)
+    size = np.ones(count, dtype=np.int64)
+    path, cost = np.full((count, paths + 1), -1, dtype=np.int64), np.zeros((count, paths + 1))
+    for c in range(count):
+        if c > 0 and is_behind(place.x, place.y, vrp[c - 1, 0], vrp[c - 1, 1]):
+            continue
+        expected = expected_length(place, circles, e, c)[0]
+        for j in range(paths):
+            gap = length[j] - expected
+            if not abs(gap) < farthest:
+                continue
+            own = 0.5 * gap * gap / (farthest * farthest) - 1.0
+            i = size[c]
+            while i > 0 and cost[c, i - 1] > own:
+                path[c, i], cost[c, i] = path[c, i - 1], cost[c, i - 1]
+                i -= 1
+            path[c, i], cost[c, i] = j, own
+            size[c] += 1
+    return size, path, cost
+
+
+@compiled
+def labellings_at(
+    place: Place,
+    circles: Circles,
+    vrp: Array,
+    length: Array,
+    farthest: float,
+    slack: float,
+    most: int,
+    nodes: int,
+) -> Index:
+    """The best labellings (V, 1 + L) from one place, best first.
+
+    Parameters
+    ----------
+    place, circles, vrp
+        The place, circles of which the last epoch's count, walls (L, 2).
+    length : ndarray, shape (M,)
+        Path lengths.
+    farthest : float
+        From the expected length that a path may be, metres.
+    slack : float
+        Cost beyond the best labelling's; a path left out costs 1, one taken half its squared gap in units of
+        ``farthest``.
+    most : int
+        Labellings, at most.
+    nodes : int
+        Partial labellings that are looked at, at most.
+    """
+    size, path, cost = _options(place, circles, vrp, length, farthest)
+    count = len(size)
+    rest = np.zeros(count + 1)  # least that the circles from each on can add
+    for c in range(count - 1, -1, -1):
+        rest[c] = rest[c + 1] + cost[c, 0]
+    best, label = np.full(most, np.inf), np.full((most, count), -1, dtype=np.int64)
+    used = np.zeros(len(length), dtype=np.bool_)
+    option, total = np.zeros(count + 1, dtype=np.int64), np.zeros(count + 1)
+    kept, looked, c = 0, 0, 0
+    while c >= 0 and looked < nodes:
+        limit = min(best[0] + slack, best[most - 1])
+        if c == count:  # a whole labelling
+            if total[c] < limit:
+                i = min(kept, most - 1)
+                while i > 0 and best[i - 1] > total[c]:
+                    best[i], label[i] = best[i - 1], label[i - 1]
+                    i -= 1
+                best[i] = total[c]
+                for d in range(count):
+                    label[i, d] = path[d, option[d] - 1]
+                kept = min(kept + 1, most)
+            c -= 1
+            if path[c, option[c] - 1] >= 0:
+                used[path[c, option[c] - 1]] = False
+            continue
+        if option[c] < size[c] and total[c] + cost[c, option[c]] + rest[c + 1] < limit:
+            looked += 1
+            j = path[c, option[c]]
+            option[c] += 1
+            if j >= 0 and used[j]:
+                continue
+            if j >= 0:
+                used[j] = True
+            total[c + 1] = total[c] + cost[c, option[c] - 1]
+            c += 1
+            if c < count:
+                option[c] = 0
+            continue
+        c -= 1
+        if c >= 0 and path[c, option[c] - 1] >= 0:
+            used[path[c, option[c] - 1]] = False
+    while kept > 1 and not best[kept - 1] < best[0] + slack:
+        kept -= 1
+    return label[:kept].copy()

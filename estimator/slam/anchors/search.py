@@ -1,10 +1,8 @@
-"""Locating an anchor from path lengths with unknown labels (Section IV-B1).
+"""Places of an anchor from path lengths with unknown labels (Section IV-B1).
 
-A mirror keeps lengths, so the path that leaves the anchor and bounces off wall ``l``
-is as long as the straight way from the anchor to the *agent's* image in ``l``. Every
-path length thus puts the anchor on a circle round a known centre: the agent, one of
-its images or an image of an image; which one is unknown. Pairs of circles give
-candidates, each is scored by all the paths, refined, and weighed by its evidence.
+Every path length puts the anchor on a circle round a known centre; which one is unknown. Pairs of circles
+give seeds, each is scored by all the paths, refined, and weighed by its evidence. The cost is that of
+:class:`estimator.slam.anchors.seeds.SearchLimits`, whatever was heard.
 """
 
 from __future__ import annotations
@@ -14,25 +12,44 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.slam.anchors.circles import Centres, intersections
-from estimator.slam.anchors.sight import Heard, PathBatch, prior_visibility, see, walls_between
-from estimator.slam.association import associate
-from estimator.slam.config import GaussianConfig
+from estimator.compiled import compiled
+from estimator.slam.anchors.circles import Circles, image_circles, met_wall_pairs
+from estimator.slam.anchors.config import AnchorSearchConfig
+from estimator.slam.anchors.evidence import weigh
+from estimator.slam.anchors.likelihood import Model, Place, model_of
+from estimator.slam.anchors.observations import NoiseModel, Observations
+from estimator.slam.anchors.refinement import refine
+from estimator.slam.anchors.seeds import Cells, SearchLimits, choose_seeds
 
-__all__ = ["Candidates", "evidence_at", "locate"]
+__all__ = ["Candidates", "Scene", "evidence_at", "find_places", "known_cell", "scene_of"]
 
 Array = NDArray[np.float64]
-_MOST_PAIRS = 20_000  # of circles that are intersected: 40 paths and four walls
-_CHUNK = 512  # intersections seen at once: their arrays stay in the cache
-_REFINED, _REFINED_IN_ALL = (
-    60,
-    600,
-)  # intersections that are refined and weighed, of one clock bias and of all
-_STILL_M = 1e-4  # a place that moves by less has been found
-_SHORTEST_M = 1e-3  # a path, whatever the clock says
-_SURE = 0.9  # association probability from which a path is believed to be a feature's
-_BEHIND_LOG_PRIOR = -2.5  # of standing behind a known wall: anchors are rarely in other rooms
-_NO_BIAS = np.zeros(1)
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What an anchor is searched in: circles, paths and walls.
+
+    Parameters
+    ----------
+    circles : Circles
+        Centres of all epochs.
+    seen : Observations
+        The anchor's paths.
+    widest_m2 : ndarray, shape (E,)
+        Largest variance of each epoch's paths.
+    vrp_m : ndarray, shape (L, 2)
+        Walls: an anchor is heard over one only from RP's side.
+    model : Model
+        Numbers.
+    """
+
+    circles: Circles
+    seen: Observations
+    widest_m2: Array
+    vrp_m: Array
+    model: Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,224 +65,148 @@ class Candidates:
     log_evidence : ndarray, shape (S,)
         Log evidence over "all is clutter".
     matches : ndarray of int64, shape (S,)
-        Number of features of up to one bounce that most epochs heard.
+        Number of features of up to one bounce that most epochs show.
     fresh : ndarray of int64, shape (S,)
-        How many of these features the last epoch surely heard.
+        How many of these features the last epoch shows for sure.
     bias_m : ndarray, shape (S,)
         Clock bias that was taken off the path lengths.
+    height2_m2 : ndarray, shape (S,)
+        Squared height difference that was assumed.
     """
 
     mean_m: Array
     covariance_m2: Array
     log_evidence: Array
-    matches: NDArray[np.int64]
-    fresh: NDArray[np.int64]
+    matches: Index
+    fresh: Index
     bias_m: Array
+    height2_m2: Array
+
+    def __len__(self) -> int:
+        return len(self.mean_m)
+
+    def take(self, index: Index) -> Candidates:
+        """Those at ``index``."""
+        return Candidates(*(column[index] for column in vars(self).values()))
 
 
-def _odds(relative: Array, chance: Array) -> Array:
-    """Association ratios (S, ..., N) of features that are measured with probability ``chance`` (S, ...)."""
-    return np.asarray((chance / (1.0 - chance))[..., None] * relative)
-
-
-def _seeds(
-    centres: Centres, paths: PathBatch, epochs: NDArray[np.int64], bias_m: Array
-) -> tuple[Array, NDArray[np.int64]]:
-    """Intersections (S, 2) of circles of up to one bounce, and of which clock bias (S,) each is."""
-    centre_index = np.flatnonzero((centres.bounces < 2) & np.isin(centres.epoch, epochs))
-    path_index = np.flatnonzero(np.isin(paths.epoch, epochs))
-    c, p = (index.ravel() for index in np.meshgrid(centre_index, path_index, indexing="ij"))
-    fits = centres.epoch[c] == paths.epoch[p]
-    c, p = c[fits], p[fits]
-    a, b = np.triu_indices(len(c), 1)
-    apart = (c[a] != c[b]) & (p[a] != p[b])
-    every = max(-(-int(apart.sum()) // _MOST_PAIRS), 1)  # where most paths meet, many pairs do
-    a, b = a[apart][::every], b[apart][::every]
-    radius = (
-        np.stack([paths.length_m[p[a]], paths.length_m[p[b]]], axis=1) - bias_m[:, None, None]
-    )  # (B, P, 2)
-    centre = np.stack([centres.point_m[c[a]], centres.point_m[c[b]]], axis=1)
-    centre = np.broadcast_to(centre, (*radius.shape, 2)).reshape(-1, 2, 2)
-    points = intersections(centre, np.maximum(radius, _SHORTEST_M).reshape(-1, 2)).reshape(-1, 2)
-    kind = np.repeat(np.arange(bias_m.size), 2 * a.size)
-    real = np.all(np.isfinite(points), axis=1)
-    return points[real], kind[real]
-
-
-def _distinct(points: Array, score: Array, radius: float, limit: int) -> NDArray[np.int64]:
-    """Indices of the best points that are further than ``radius`` from a better one."""
-    order = np.argsort(-score, kind="stable")
-    kept: list[int] = []
-    free = np.ones(len(points), dtype=bool)
-    for index in order:
-        if free[index]:
-            kept.append(int(index))
-            free &= np.sum((points - points[index]) ** 2, axis=1) > radius**2
-            if len(kept) == limit:
-                break
-    return np.array(kept, dtype=np.int64)
-
-
-def _refine(
-    points: Array, bias: Array, heard: Heard, walls: dict[int, Array], config: GaussianConfig
-) -> tuple[Array, Array]:
-    """Gauss-Newton on the likeliest label of each centre; points (S, 2), information (S, 2, 2)."""
-    points, information = points.copy(), np.zeros((len(points), 2, 2))
-    moving = np.arange(len(points))
-    for _ in range(6):
-        at = points[moving]
-        seen = see(at, bias[moving], heard, config)
-        chance = prior_visibility(at, heard, walls) * config.detection_probability
-        best = np.argmax(seen.relative, axis=-1)
-        label = (*np.ogrid[tuple(slice(n) for n in best.shape)], best)
-        weight = _odds(seen.relative[label][..., None], chance[:, None])[..., 0]
-        variance = seen.variance + np.broadcast_to(heard.variance_m2, seen.relative.shape)[label]
-        weight = np.where(weight > 0.0, weight / (1.0 + weight) / variance, 0.0)
-        unit = np.stack([seen.along, seen.across], axis=-1)
-        pull = weight * np.where(weight > 0.0, seen.residual[label], 0.0)
-        gradient = np.einsum("seq,seqi->si", pull, unit)
-        own = np.einsum("seq,seqi,seqj->sij", weight, unit, unit) + 1e-4 * np.eye(2)
-        step = np.linalg.solve(own, gradient[..., None])[..., 0]
-        points[moving], information[moving] = at + step, own
-        moving = moving[np.sum(step**2, axis=1) > _STILL_M**2]
-        if moving.size == 0:
-            break
-    return points, information
-
-
-def locate(
-    centres: Centres,
-    paths: PathBatch,
-    walls: dict[int, Array],
-    config: GaussianConfig,
-    seed_epochs: NDArray[np.int64],
-    bias_m: Array = _NO_BIAS,
-    bias_log_prior: Array = _NO_BIAS,
-) -> Candidates:
-    """Find the places from which the paths of an anchor make sense.
+def scene_of(
+    seen: Observations,
+    vrp_m: Array,
+    vrp_covariance_m2: Array,
+    noise: NoiseModel,
+    config: AnchorSearchConfig,
+    extra_variance_m2: float = 0.0,
+) -> Scene:
+    """The circles of some observations.
 
     Parameters
     ----------
-    centres : Centres
-        Circle centres of all epochs in ``paths``.
-    paths : PathBatch
-        The anchor's paths.
-    walls : dict of int to ndarray, shape (2,)
-        VRP of each wall number: an anchor is heard over a wall only from the agent's side.
-    config : GaussianConfig
+    seen : Observations
+        Paths.
+    vrp_m, vrp_covariance_m2 : ndarray, shapes (L, 2), (L, 2, 2)
+        Walls that count as found.
+    noise, config
         Models.
-    seed_epochs : ndarray of int64
-        Epochs whose circles are intersected, and which choose among the candidates; all
-        epochs weigh those chosen.
-    bias_m, bias_log_prior : ndarray, shape (B,)
-        Clock biases that are tried, and their log prior.
-
-    Returns
-    -------
-    Candidates
-        Possibly empty.
+    extra_variance_m2 : float
+        To be added to the variance of every length: what its clock bias may be off.
     """
-    none = Candidates(
-        np.empty((0, 2)),
-        np.empty((0, 2, 2)),
-        np.empty(0),
-        np.empty(0, dtype=np.int64),
-        np.empty(0, dtype=np.int64),
-        np.empty(0),
-    )
-    seeds, kind = _seeds(centres, paths, seed_epochs, bias_m)
-    if len(seeds) == 0:
-        return none
-    here, lately = np.isin(centres.epoch, seed_epochs), np.isin(paths.epoch, seed_epochs)
-    now = Heard.of(
-        Centres(*(column[here] for column in vars(centres).values())),
-        PathBatch(*(column[lately] for column in vars(paths).values())),
-        config,
-    )
-    scores = []
-    for chunk in np.array_split(np.arange(len(seeds)), max(1, len(seeds) // _CHUNK)):
-        relative = see(seeds[chunk], bias_m[kind[chunk]], now, config).relative.sum(axis=-1)
-        chance = (prior_visibility(seeds[chunk], now, walls) * config.detection_probability)[:, None]
-        scores.append(np.sum(np.log1p(chance * (relative - 1.0)), axis=(1, 2)))
-    score = np.concatenate(scores)
-    chosen = []
-    for each in range(bias_m.size):
-        own = np.flatnonzero(kind == each)
-        chosen.append(own[_distinct(seeds[own], score[own], 0.7, _REFINED)])
-    pick = np.concatenate(chosen)
-    pick = pick[np.argsort(-(score + bias_log_prior[kind])[pick], kind="stable")[:_REFINED_IN_ALL]]
-    points, bias, log_prior = seeds[pick], bias_m[kind[pick]], bias_log_prior[kind[pick]]
-    heard = Heard.of(centres, paths, config)
-    points, information = _refine(points, bias, heard, walls, config)
-    finite = np.all(np.isfinite(points), axis=1) & (np.linalg.norm(points, axis=1) < 2.0 * config.region_m)
-    points, bias, log_prior, information = (
-        points[finite],
-        bias[finite],
-        log_prior[finite],
-        information[finite],
-    )
-    if len(points) == 0:
-        return none
-    total, matches, fresh = _weigh(points, bias, information, heard, walls, config)
-    total = total + log_prior
-    covariance = np.linalg.inv(information)
-    kept = _distinct(np.column_stack([points, bias]), total, 0.5, config.start_attempts)
-    kept = kept[total[kept] > total[kept[0]] - config.prune_nats]
-    return Candidates(points[kept], covariance[kept], total[kept], matches[kept], fresh[kept], bias[kept])
+    vrp, spread = np.ascontiguousarray(vrp_m), np.ascontiguousarray(vrp_covariance_m2)
+    pairs = met_wall_pairs(seen.position_m, vrp, config.wall_pair_margin_m, config.max_wall_pairs)
+    circles = image_circles(seen.position_m, seen.variance_m2, vrp, spread, pairs)
+    seen = seen._replace(length_variance_m2=seen.length_variance_m2 + extra_variance_m2)
+    return Scene(circles, seen, seen.length_variance_m2.max(axis=1), vrp, model_of(noise, config))
 
 
-def evidence_at(
-    points: Array,
-    centres: Centres,
-    paths: PathBatch,
-    walls: dict[int, Array],
-    config: GaussianConfig,
-    bias_m: Array = _NO_BIAS,
-) -> Array:
-    """Log evidence (S,) of the anchor standing near ``points`` (S, 2), on the scale of :func:`locate`."""
-    bias = np.broadcast_to(bias_m, len(points))
-    heard = Heard.of(centres, paths, config)
-    points, information = _refine(points, bias, heard, walls, config)
-    return _weigh(points, bias, information, heard, walls, config)[0]
+def known_cell(bias_m: float, height2_m2: float = 0.0) -> Cells:
+    """The one cell of a known clock."""
+    return Cells(np.array([bias_m]), np.array([height2_m2]), np.zeros(1))
 
 
-def _weigh(
-    points: Array,
-    bias: Array,
-    information: Array,
-    heard: Heard,
-    walls: dict[int, Array],
-    config: GaussianConfig,
-) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Log evidence (S,), numbers of explained first-order features (S,), and of those of the last epoch (S,).
+def find_places(
+    scene: Scene, cells: Cells, limits: SearchLimits, prune_nats: float, config: AnchorSearchConfig
+) -> Candidates:
+    """The places from which the paths of an anchor make sense, possibly none.
 
-    Over a few epochs a feature is visible all along or not at all: belief propagation between
-    the epochs' associations tells which. A feature counts if most epochs heard it.
+    Parameters
+    ----------
+    scene : Scene
+        Circles and paths; the last epoch's circles are intersected, all epochs weigh where they meet.
+    cells : Cells
+        Clock biases and heights that are tried.
+    limits : SearchLimits
+        What the search may cost.
+    prune_nats : float
+        Places this far below the best are dropped.
+    config : AnchorSearchConfig
+        Models.
     """
-    relative, prior = see(points, bias, heard, config).relative, prior_visibility(points, heard, walls)
-    epochs = len(heard.x)
-    first = heard.bounces < 2
-    often, sure = np.zeros(prior.shape), np.zeros(prior.shape, dtype=bool)
-    log_ratio = np.zeros((len(points), epochs, prior.shape[1]))  # of being visible, over not
-    contest = np.zeros((len(points), epochs))
-    pd, last = config.detection_probability, min(epochs, 2) - 1
-    for sweep in range(last + 1):
-        for e in range(epochs):
-            others = log_ratio.sum(axis=1) - log_ratio[:, e]
-            visible = prior / (prior + (1.0 - prior) * np.exp(-np.clip(others, -50.0, 50.0)))
-            here = relative[:, e]
-            ratio = _odds(here, pd * visible)
-            association = associate(ratio)
-            told = here * association.message
-            log_ratio[:, e] = np.log(1.0 - pd + pd * told.sum(axis=-1))
-            own = np.log1p((ratio * association.message).sum(axis=-1)).sum(axis=-1)
-            contest[:, e] = association.log_evidence - own
-            if sweep == last:
-                often += association.probability.sum(axis=-1) / epochs
-                sure = association.probability.max(axis=-1, initial=0.0) > _SURE
-    total = np.sum(np.log(1.0 - prior + prior * np.exp(np.minimum(log_ratio.sum(axis=1), 300.0))), axis=-1)
-    total = total + contest.sum(axis=-1)
-    total = total + _BEHIND_LOG_PRIOR * walls_between(points, walls)
-    area = np.pi * config.region_m**2  # the prior, and Laplace's approximation of the integral
-    total = total - 0.5 * np.linalg.slogdet(information)[1] + np.log(2.0 * np.pi / area)
-    return total, np.sum((often > 0.5) & first, axis=-1), np.sum(sure & first, axis=-1)
+    x, y, cell = choose_seeds(
+        scene.circles,
+        scene.seen,
+        scene.widest_m2,
+        cells,
+        scene.vrp_m,
+        scene.model,
+        limits,
+        config.seed_radius_m,
+        config.touch_m2,
+    )
+    start = np.stack([x, y, cells.bias_m[cell], cells.height2_m2[cell]], axis=1)
+    points, spread, total, matches, fresh = _settled(
+        start, scene.circles, scene.seen, scene.widest_m2, scene.vrp_m, scene.model
+    )
+    total = total + cells.log_prior[cell]
+    inside = np.all(np.isfinite(points), axis=1) & np.isfinite(total)
+    inside &= np.hypot(points[:, 0], points[:, 1]) < 2.0 * scene.model.region_m
+    index = np.flatnonzero(inside)
+    kept = index[_distinct(points[index], total[index], config.place_radius_m, config.start_attempts)]
+    kept = kept[total[kept] > total[kept].max(initial=-np.inf) - prune_nats]
+    bias, height2 = start[kept, 2], start[kept, 3]
+    return Candidates(points[kept], spread[kept], total[kept], matches[kept], fresh[kept], bias, height2)
+
+
+def evidence_at(scene: Scene, points_m: Array, bias_m: float, height2_m2: float = 0.0) -> Array:
+    """Log evidence (S,) of the anchor near ``points_m`` (S, 2), on the scale of :func:`find_places`."""
+    start = np.empty((len(points_m), 4))
+    start[:, :2], start[:, 2], start[:, 3] = points_m, bias_m, height2_m2
+    return _settled(start, scene.circles, scene.seen, scene.widest_m2, scene.vrp_m, scene.model)[2]
+
+
+@compiled
+def _settled(
+    start: Array, circles: Circles, seen: Observations, widest: Array, vrp: Array, model: Model
+) -> tuple[Array, Array, Array, Index, Index]:
+    """Refined places (S, 2), their covariances, log evidence and matches, from ``start`` (S, 4)."""
+    count = len(start)
+    points, spread, total = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty(count)
+    matches, fresh = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    for s in range(count):
+        first = Place(start[s, 0], start[s, 1], start[s, 2], start[s, 3])
+        x, y, xx, xy, yy = refine(first, circles, seen, widest, vrp, model)
+        points[s, 0], points[s, 1] = x, y
+        determinant = xx * yy - xy * xy
+        spread[s, 0, 0], spread[s, 1, 1] = yy / determinant, xx / determinant
+        spread[s, 0, 1] = spread[s, 1, 0] = -xy / determinant
+        place = Place(x, y, first.bias, first.height2)
+        total[s], matches[s], fresh[s] = weigh(place, (xx, xy, yy), circles, seen, widest, vrp, model)
+    return points, spread, total, matches, fresh
+
+
+@compiled
+def _distinct(points: Array, score: Array, radius: float, limit: int) -> Index:
+    """Indices of the best points (S, 2) further than ``radius`` from a better one, at most ``limit``."""
+    order = np.argsort(-score, kind="mergesort")
+    kept = np.empty(min(len(points), limit), dtype=np.int64)
+    count = 0
+    for i in order:
+        if count == limit:
+            break
+        alone = True
+        for j in range(count):
+            dx, dy = points[kept[j], 0] - points[i, 0], points[kept[j], 1] - points[i, 1]
+            alone = alone and dx * dx + dy * dy > radius * radius
+        if alone:
+            kept[count] = i
+            count += 1
+    return kept[:count]

@@ -9,11 +9,11 @@ import pytest
 
 from estimator.measurements import AnchorPaths
 from estimator.slam import GaussianConfig, start, step
-from estimator.slam.anchors.circles import images_of_agent
+from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.anchors.labellings import labellings
 from estimator.slam.anchors.locate import locate_anchors
-from estimator.slam.anchors.search import Candidates, evidence_at
-from estimator.slam.anchors.sight import PathBatch
+from estimator.slam.anchors.observations import Observations
+from estimator.slam.anchors.search import Candidates, evidence_at, scene_of
 from estimator.slam.features import reflect
 from estimator.slam.gaussian.hindsight import look_back
 from estimator.slam.gaussian.paths import stack_paths
@@ -21,62 +21,64 @@ from estimator.slam.run import config_for, run_slam
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 
 CONFIG = GaussianConfig(clutter_mean=1.0)
-WALLS = {0: np.array([40.0, 0.0]), 1: np.array([0.0, -30.0])}
+SEARCH = AnchorSearchConfig()
+WALLS = np.array([[40.0, 0.0], [0.0, -30.0]])
 
 
-def centres_of(epoch, position):
-    """The agent and its images in the two walls, known to 10 cm."""
-    walls = np.array(list(WALLS.values()))
-    return images_of_agent(
-        np.array(position), 0.01, walls, np.array([0.01 * np.eye(2)] * 2), np.arange(2), epoch
+def scene_at(positions, length=170.0):
+    """The agent and its images in the two walls, known to 10 cm; one path, in the first epoch."""
+    epochs = len(positions)
+    lengths = np.full((epochs, 1), np.inf)
+    lengths[0] = length
+    seen = Observations(
+        np.array(positions),
+        np.full(epochs, 0.01),
+        np.array([1, *[0] * (epochs - 1)]),
+        lengths,
+        np.full((epochs, 1), 0.01),
+        np.ones((epochs, 1)),
     )
+    return scene_of(seen, WALLS, np.array([0.01 * np.eye(2)] * 2), CONFIG, SEARCH)
 
 
-def joined(parts):
-    """The circles of several epochs."""
-    return type(parts[0])(
-        *(np.concatenate(columns) for columns in zip(*(vars(p).values() for p in parts), strict=True))
-    )
+def found_at(place, matches, evidence):
+    """One candidate."""
+    count = np.array([matches])
+    zero = np.zeros(1)
+    return Candidates(place, np.eye(2)[None], np.array([evidence]), count, count, zero, zero)
 
 
 @pytest.mark.parametrize("epochs", [1, 2, 6])
 def test_what_is_hidden_is_hidden_all_along(epochs):
     """Evidence of silence: a feature that is not heard was hidden, once, not anew in every epoch."""
-    centres = joined([centres_of(t, (0.5 * t, 0.0)) for t in range(epochs)])
-    far = PathBatch(np.array([170.0]), np.array([0.01]), np.array([0]), np.array([np.nan]))
     place = np.array([[10.0, 12.0]])
-    bare = evidence_at(place, joined([centres_of(0, (0.0, 0.0))]), far, WALLS, CONFIG)
+    bare = evidence_at(scene_at([(0.0, 0.0)]), place, 0.0)
     pd = CONFIG.detection_probability
     visible = np.array([0.9, 0.6, 0.6, 0.2, 0.2])  # line of sight, two walls, two pairs
 
     def silence(count):
         return np.sum(np.log(1.0 - visible + visible * (1.0 - pd) ** count))
 
-    many = evidence_at(place, centres, far, WALLS, CONFIG)
+    many = evidence_at(scene_at([(0.5 * t, 0.0) for t in range(epochs)]), place, 0.0)
     assert many - bare == pytest.approx(silence(epochs) - silence(1), abs=1e-6)
 
 
 def test_an_anchor_is_rather_in_this_room_than_behind_its_walls():
     """Standing behind a wall costs 2.5 nats, and the bounce on that wall is not missed."""
-    centres = centres_of(0, (0.0, 0.0))
-    far = PathBatch(np.array([170.0]), np.array([0.01]), np.array([0]), np.array([np.nan]))
-    inside, behind = (
-        evidence_at(np.array([place]), centres, far, WALLS, CONFIG)[0] for place in ((12.0, 9.0), (28.0, 9.0))
-    )
+    scene = scene_at([(0.0, 0.0)])
+    inside, behind = (evidence_at(scene, np.array([place]), 0.0)[0] for place in ((12.0, 9.0), (28.0, 9.0)))
     not_missed = -np.log(1.0 - 0.6 * CONFIG.detection_probability)
     assert behind - inside == pytest.approx(not_missed - 2.5, abs=1e-6)
 
 
 def test_paths_of_similar_length_get_both_labels():
     """Near-equal lengths may be exchanged or left out; a path far from every circle gets no label."""
-    centres = centres_of(0, (0.0, 0.0))
-    keep = centres.bounces < 2
-    centres = type(centres)(*(column[keep] for column in vars(centres).values()))
+    scene = scene_at([(0.0, 0.0)])
     place = np.array([[12.0, 9.0]])
-    length = np.linalg.norm(place - centres.point_m, axis=1)
+    length = np.hypot(12.0 - scene.circles.x[0], 9.0 - scene.circles.y[0])
     paths = np.array([length[0], length[1] - 0.4, length[1] + 0.3, 90.0])
-    found = Candidates(place, np.eye(2)[None], np.zeros(1), np.array([3]), np.array([3]), np.zeros(1))
-    candidate, label = labellings(found, centres, paths, WALLS)
+    found = found_at(place, 3, 0.0)
+    candidate, label = labellings(found, scene, paths, SEARCH)
     chosen = {tuple(row) for row in label.tolist()}
     assert set(candidate.tolist()) == {0}
     assert {(0, 1, -1), (0, 2, -1), (0, -1, -1), (-1, 1, -1)} <= chosen
@@ -186,9 +188,8 @@ def test_three_features_may_be_chance(room, monkeypatch, matches, evidence, othe
     for epoch in measured.epochs:
         state = step(state, epoch, config)
     rows, place = state.rows, state.rows.mean[[state.rows.best], state.layout.anchor_xy(1)]
-    count = np.array([matches])
-    found = Candidates(place, np.eye(2)[None], np.array([evidence]), count, count, np.zeros(1))
-    monkeypatch.setattr("estimator.slam.anchors.locate.locate", lambda *_: found)
+    found = found_at(place, matches, evidence)
+    monkeypatch.setattr("estimator.slam.anchors.initialise.find_places", lambda *_: found)
     located = np.tile([other, False], (len(rows), 1))
     waiting = replace(state, rows=replace(rows, located=located))
     after = locate_anchors(waiting, stack_paths(measured.epochs[-1], state.carrier_hz), config)

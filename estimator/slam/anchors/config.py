@@ -1,0 +1,176 @@
+"""Configuration of the anchor search: when, how wide, how sure, and how much at most."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from estimator.errors import ConfigurationError
+
+__all__ = ["AnchorSearchConfig"]
+
+_SIGNED = ("rival_log_prior", "behind_wall_log_prior", "late_evidence_nats")
+_PROBABILITIES = (
+    "sure_probability",
+    "search_visibility_los",
+    "search_visibility_wall",
+    "search_visibility_pair",
+)
+
+
+@dataclass(frozen=True)
+class AnchorSearchConfig:
+    """Decisions and limits of the anchor search.
+
+    Parameters
+    ----------
+    start_window : int
+        Epochs that are remembered for the search.
+    search_stride : int
+        Epochs between searches, and between the remembered epochs that a search uses: paths of
+        neighbouring epochs tell nearly the same. Before this many epochs every epoch is searched and used.
+    recheck_stride : int
+        Epochs between checks whether a located anchor should be searched again.
+    doubt_sigma, doubt_paths : float
+        A located anchor is searched again if its unassociated paths exceed the expected clutter by this many
+        standard deviations (of a Poisson number) plus this many paths an epoch.
+    start_matches : int
+        Features (line of sight, single bounces) that paths must explain before an anchor is located.
+    start_fresh : int
+        Features that a path of the present epoch must explain for sure.
+    sure_probability : float
+        Association probability from which a path explains a feature for sure.
+    start_attempts : int
+        Places kept of each search.
+    restart_distance_m : float
+        A located anchor may turn out to be elsewhere, at least this far away, metres.
+    place_margin_nats : float
+        Log evidence by which a place must beat those that explain too little, and no place at all.
+    late_evidence_nats : float
+        Log evidence that a place of fewer than ``start_matches`` features needs once another anchor stands:
+        chance agreements reach 10 to 15.
+    rival_log_prior : float
+        Log prior odds that a located anchor is elsewhere after all.
+    behind_wall_log_prior : float
+        Log prior odds of standing behind a known wall, each: anchors are rarely in other rooms.
+    anchor_prior_std_m : float
+        Standard deviation per axis of an anchor before the present epoch's paths enter the joint Gaussian,
+        metres: wide, for the place itself came from these paths.
+    clock_step_m : float
+        Spacing of the clock biases that are tried, and the standard deviation below which one is enough,
+        metres.
+    clock_sigma : float
+        Clock biases are tried up to this many standard deviations.
+    max_clocks : int
+        Clock biases tried; where more are needed the spacing grows.
+    max_clock_groups : int
+        Groups of hypotheses that agree on an anchor's clock bias, each of which is searched for.
+    search_gate_sigma : float
+        Standard deviations within which a path may explain a circle.
+    search_visibility_los, search_visibility_wall, search_visibility_pair : float
+        Prior probability that a path of 0, 1, 2 bounces is there.
+    los_loss_std_db : float
+        Standard deviation of the loss of a line of sight beyond free space, dB.
+    loss_range_db : float
+        Losses of other paths are uniform over this range, dB.
+    seed_radius_m, place_radius_m : float
+        Seeds, and places, closer than this to a better one are the same, metres.
+    wall_pair_margin_m : float
+        Walls may be misplaced by so much when double bounces are ruled out, metres.
+    touch_m2 : float
+        Circles that miss each other still touch, if the squared half chord is no less than minus this.
+    max_wall_pairs : int
+        Ordered pairs of walls whose double bounces may explain paths, those of the shortest paths first.
+    max_gated : int
+        Paths of an epoch that may explain one circle, the nearest first.
+    max_pairs : int
+        Pairs of circles that are intersected for one clock bias (40 paths and four walls).
+    max_pairs_in_all : int
+        The same of all clock biases and searches of an epoch.
+    max_scored, max_scored_in_all : int
+        Intersections that are scored with double bounces, of one search and of all of an epoch.
+    max_refined, max_refined_in_all : int
+        Places that are refined and weighed, of one clock bias and of all searches of an epoch.
+    max_grid_searches : int
+        Searches over clock biases an epoch; other anchors of unknown clock wait for a later one.
+    labelling_gap_m : float
+        Lengths this close may be exchanged by the walls' errors, metres.
+    labelling_slack : float
+        Labellings this much worse than the best of a place are kept: a path left out counts 1, a gap half its
+        square in units of ``labelling_gap_m``.
+    max_labellings : int
+        Labellings kept of each place.
+    max_labelling_nodes : int
+        Partial labellings looked at for each place.
+    max_labelled : int
+        Hypotheses times places times labellings that are weighed when an anchor is located, in all of an
+        epoch.
+    max_branch_floats : int
+        Covariance entries of the hypotheses made when anchors are located, in all of an epoch (8 byte each).
+    min_branches : int
+        Hypotheses that may be made of each anchor whatever their size.
+    """
+
+    start_window: int = 16
+    search_stride: int = 4
+    recheck_stride: int = 8
+    doubt_sigma: float = 4.0
+    doubt_paths: float = 0.5
+    start_matches: int = 4
+    start_fresh: int = 2
+    sure_probability: float = 0.9
+    start_attempts: int = 20
+    restart_distance_m: float = 2.0
+    place_margin_nats: float = 2.0
+    late_evidence_nats: float = 20.0
+    rival_log_prior: float = -3.0
+    behind_wall_log_prior: float = -2.5
+    anchor_prior_std_m: float = 10.0
+    clock_step_m: float = 1.0
+    clock_sigma: float = 3.0
+    max_clocks: int = 128
+    max_clock_groups: int = 10
+    search_gate_sigma: float = 4.0
+    search_visibility_los: float = 0.9
+    search_visibility_wall: float = 0.6
+    search_visibility_pair: float = 0.2
+    los_loss_std_db: float = 2.5
+    loss_range_db: float = 40.0
+    seed_radius_m: float = 0.7
+    place_radius_m: float = 0.5
+    wall_pair_margin_m: float = 1.0
+    touch_m2: float = 1.0
+    max_wall_pairs: int = 64
+    max_gated: int = 8
+    max_pairs: int = 20_000
+    max_pairs_in_all: int = 80_000
+    max_scored: int = 4_000
+    max_scored_in_all: int = 16_000
+    max_refined: int = 60
+    max_refined_in_all: int = 600
+    max_grid_searches: int = 2
+    labelling_gap_m: float = 3.0
+    labelling_slack: float = 1.2
+    max_labellings: int = 24
+    max_labelling_nodes: int = 20_000
+    max_labelled: int = 40_000
+    max_branch_floats: int = 2_400_000
+    min_branches: int = 24
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not np.isfinite(value) or (value <= 0 and entry.name not in _SIGNED):
+                kind = "finite" if entry.name in _SIGNED else "positive"
+                raise ConfigurationError(
+                    f"AnchorSearchConfig.{entry.name}: expected a {kind} number, got {value!r}"
+                )
+            if entry.name in _PROBABILITIES and value >= 1.0:
+                raise ConfigurationError(
+                    f"AnchorSearchConfig.{entry.name}: expected less than 1, got {value!r}"
+                )
+
+    def widened(self) -> AnchorSearchConfig:
+        """The same with twice the places kept of each search."""
+        return replace(self, start_attempts=2 * self.start_attempts)

@@ -1,0 +1,203 @@
+"""Log evidence of an anchor at a place, over "all is clutter".
+
+Over a few epochs a feature is visible all along or not at all. Belief propagation between the epochs'
+associations tells which: at most E x Q x ``max_gated`` pairs a place, ``ROUNDS`` rounds of messages each.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.compiled import compiled
+from estimator.slam.anchors.circles import Circles
+from estimator.slam.anchors.likelihood import Model, Place, gate_circle, is_behind, walls_between
+from estimator.slam.anchors.observations import Observations
+
+__all__ = ["ROUNDS", "associate_pairs", "weigh"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+ROUNDS = 12  # of message passing, at most
+_SETTLED = 1e-6  # numerical tolerance: relative change of messages
+
+
+@compiled
+def associate_pairs(
+    odds: Array, feature: Index, path: Index, features: int, paths: int, forth: Array, back: Array
+) -> float:
+    """One-to-one association of features and paths of which only some pairs are possible.
+
+    Loopy belief propagation as in :mod:`estimator.slam.association`, on a list of pairs.
+
+    Parameters
+    ----------
+    odds : ndarray, shape (N,)
+        Of each pair: likelihood of "feature gave path" over "feature was missed and the path is clutter".
+    feature, path : ndarray of int64, shape (N,)
+        Which pair it is.
+    features, paths : int
+        Their numbers.
+    forth, back : ndarray, shape (N,)
+        Filled with the messages from features to paths and back; the marginal probability of a
+        pair is ``odds * back`` over one plus the sum of these of its feature.
+
+    Returns
+    -------
+    float
+        Log evidence (Bethe approximation) less that of the features each on its own under ``back``.
+    """
+    n = len(odds)
+    of_feature, of_path = np.zeros(features), np.zeros(paths)
+    claims, offers = np.zeros(features, dtype=np.int64), np.zeros(paths, dtype=np.int64)
+    contested = False
+    for i in range(n):
+        forth[i], back[i] = odds[i], 1.0
+        claims[feature[i]] += 1
+        offers[path[i]] += 1
+        contested = contested or claims[feature[i]] > 1 or offers[path[i]] > 1
+    if not contested:
+        return 0.0
+    for _ in range(ROUNDS):
+        of_feature[:] = 0.0
+        of_path[:] = 0.0
+        for i in range(n):
+            of_feature[feature[i]] += odds[i] * back[i]
+        for i in range(n):
+            forth[i] = odds[i] / (1.0 + of_feature[feature[i]] - odds[i] * back[i])
+            of_path[path[i]] += forth[i]
+        moving = False
+        for i in range(n):
+            new = 1.0 / (1.0 + of_path[path[i]] - forth[i])
+            moving = moving or abs(new - back[i]) > _SETTLED * back[i]
+            back[i] = new
+        if not moving:
+            break
+    contest = 0.0
+    for j in range(paths):
+        if offers[j] > 1:
+            contest += np.log1p(of_path[j])
+    for i in range(n):
+        if offers[path[i]] > 1:
+            contest -= np.log1p(forth[i] * back[i])
+    return contest
+
+
+@compiled
+def weigh(
+    place: Place,
+    information: tuple[float, float, float],
+    circles: Circles,
+    seen: Observations,
+    widest: Array,
+    vrp: Array,
+    model: Model,
+) -> tuple[float, int, int]:
+    """Log evidence of a place, and the numbers of features of up to one bounce that are explained.
+
+    Parameters
+    ----------
+    place : Place
+        A refined place.
+    information : tuple of float
+        xx, xy, yy of the information on it: Laplace's approximation integrates over the place.
+    circles, seen, widest, vrp, model
+        As for :func:`estimator.slam.anchors.refinement.refine`.
+
+    Returns
+    -------
+    log_evidence : float
+        Over "all is clutter".
+    matches : int
+        Features that most epochs' paths show.
+    fresh : int
+        Features that a path of the last epoch shows for sure.
+    """
+    epochs, features = circles.x.shape
+    pd = model.detection_probability
+    most = epochs * features * model.max_gated
+    gate_path, gate_relative = np.empty(model.max_gated, dtype=np.int64), np.empty(model.max_gated)
+    start = np.zeros(epochs + 1, dtype=np.int64)
+    feature, path, relative = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64), np.empty(most)
+    slot = np.full(features, -1, dtype=np.int64)  # of the features that any path may show, in order
+    shown = np.empty(features, dtype=np.int64)
+    active, n, total = 0, 0, 0.0
+    silent = (1.0 - pd) ** epochs
+    behind = np.zeros(features, dtype=np.bool_)
+    for q in range(1, 1 + circles.walls):
+        behind[q] = is_behind(place.x, place.y, vrp[q - 1, 0], vrp[q - 1, 1])
+    for e in range(epochs):
+        for q in range(features):
+            if behind[q]:
+                continue
+            count = gate_circle(place, circles, seen, widest, e, q, model, gate_path, gate_relative)
+            if count and slot[q] < 0:
+                slot[q] = active
+                shown[active] = q
+                active += 1
+            for i in range(count):
+                feature[n], path[n], relative[n] = slot[q], gate_path[i], gate_relative[i]
+                n += 1
+        start[e + 1] = n
+    for q in range(features):
+        if slot[q] < 0 and not behind[q]:
+            prior = model.visibility[0 if q == 0 else (1 if q <= circles.walls else 2)]
+            total += np.log(1.0 - prior + prior * silent)
+    prior = np.empty(active)
+    for f in range(active):
+        q = shown[f]
+        prior[f] = model.visibility[0 if q == 0 else (1 if q <= circles.walls else 2)]
+    log_ratio = np.zeros((epochs, active))  # of being visible, over not
+    contest, often, sure = np.zeros(epochs), np.zeros(active), np.zeros(active)
+    odds, forth, back, told, mass = np.empty(n), np.empty(n), np.empty(n), np.empty(active), np.empty(active)
+    last = min(epochs, 2) - 1
+    for sweep in range(last + 1):
+        for e in range(epochs):
+            begin, end = start[e], start[e + 1]
+            for f in range(active):
+                others = 0.0
+                for other in range(epochs):
+                    if other != e:
+                        others += log_ratio[other, f]
+                visible = prior[f] / (prior[f] + (1.0 - prior[f]) * np.exp(-min(max(others, -50.0), 50.0)))
+                told[f] = pd * visible / (1.0 - pd * visible)
+            for i in range(begin, end):
+                odds[i] = told[feature[i]] * relative[i]
+            contest[e] = associate_pairs(
+                odds[begin:end],
+                feature[begin:end],
+                path[begin:end],
+                active,
+                seen.paths[e],
+                forth[begin:end],
+                back[begin:end],
+            )
+            told[:] = 0.0
+            mass[:] = 0.0
+            for i in range(begin, end):
+                told[feature[i]] += relative[i] * back[i]
+                mass[feature[i]] += odds[i] * back[i]
+            for f in range(active):
+                log_ratio[e, f] = np.log(1.0 - pd + pd * told[f])
+            if sweep == last:
+                for i in range(begin, end):
+                    probability = odds[i] * back[i] / (1.0 + mass[feature[i]])
+                    often[feature[i]] += probability / epochs
+                    if e == epochs - 1:
+                        sure[feature[i]] = max(sure[feature[i]], probability)
+    matches, fresh = 0, 0
+    for f in range(active):
+        ratio = 0.0
+        for e in range(epochs):
+            ratio += log_ratio[e, f]
+        total += np.log(1.0 - prior[f] + prior[f] * np.exp(min(ratio, 300.0)))
+        if shown[f] <= circles.walls:
+            matches += 1 if often[f] > 0.5 else 0
+            fresh += 1 if sure[f] > model.sure_probability else 0
+    for e in range(epochs):
+        total += contest[e]
+    total += model.behind_wall_log_prior * walls_between(place.x, place.y, vrp)
+    determinant = information[0] * information[2] - information[1] * information[1]
+    area = np.pi * model.region_m**2  # the prior, and Laplace's approximation of the integral
+    total += np.log(2.0 * np.pi / area) - 0.5 * np.log(determinant)
+    return total, matches, fresh

@@ -1,0 +1,178 @@
+"""What a search takes in: the agent at a few epochs, and the paths of one anchor heard there."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.slam.anchors.config import AnchorSearchConfig
+
+__all__ = ["NoiseModel", "Observations", "RecentPaths", "RecentTrack", "observations_of"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+_LEAST_LOSS_RATIO = 1e-3  # numerical floor of the likelihood ratio of a loss
+
+
+class NoiseModel(Protocol):
+    """What the search needs to know of the measurements; units in :class:`MeasurementNoise`."""
+
+    @property
+    def range_std_m(self) -> float:
+        """Smallest standard deviation believed of a path length, metres."""
+
+    @property
+    def detection_probability(self) -> float:
+        """Probability that a visible feature is measured."""
+
+    @property
+    def clutter_mean(self) -> float:
+        """Paths of an anchor and epoch that no feature explains."""
+
+    @property
+    def clutter_density(self) -> float:
+        """Clutter intensity, per metre."""
+
+    @property
+    def region_m(self) -> float:
+        """Largest path length, metres."""
+
+    @property
+    def height2_mean_m2(self) -> float:
+        """Prior mean of the squared height difference of anchor and agent, square metres."""
+
+    @property
+    def height2_std_m2(self) -> float:
+        """Its standard deviation."""
+
+
+class RecentTrack(NamedTuple):
+    """The agent at the W epochs before the present one, oldest first.
+
+    Parameters
+    ----------
+    epoch : ndarray of int64, shape (W,)
+        Their numbers.
+    position_m : ndarray, shape (W, 2)
+        Positions, gauge frame, metres.
+    std_m : ndarray, shape (W,)
+        Standard deviations per axis, metres.
+    """
+
+    epoch: Index
+    position_m: Array
+    std_m: Array
+
+
+class RecentPaths(NamedTuple):
+    """The paths of these epochs.
+
+    Parameters
+    ----------
+    epoch, anchor : ndarray of int64, shape (N,)
+        Epoch and anchor of each.
+    length_m, std_m : ndarray, shape (N,)
+        Lengths and their standard deviations, metres.
+    excess_loss_db : ndarray, shape (N,)
+        Loss beyond free space, dB; NaN if unknown.
+    unassociated : ndarray of bool, shape (N,)
+        Whether no feature explained it.
+    """
+
+    epoch: Index
+    anchor: Index
+    length_m: Array
+    std_m: Array
+    excess_loss_db: Array
+    unassociated: NDArray[np.bool_]
+
+
+class Observations(NamedTuple):
+    """One anchor's paths at E epochs, the present one last; those of different epochs never meet.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (E, 2)
+        The agent, metres.
+    variance_m2 : ndarray, shape (E,)
+        Its variance per axis, square metres.
+    paths : ndarray of int64, shape (E,)
+        Number of paths of each epoch.
+    length_m : ndarray, shape (E, M)
+        Path lengths in ascending order, infinite beyond ``paths``.
+    length_variance_m2 : ndarray, shape (E, M)
+        Their variances.
+    direct_ratio : ndarray, shape (E, M)
+        Likelihood ratio of the path's loss in line of sight, against any other path; 1 where unknown.
+    """
+
+    position_m: Array
+    variance_m2: Array
+    paths: Index
+    length_m: Array
+    length_variance_m2: Array
+    direct_ratio: Array
+
+    @property
+    def longest_m(self) -> float:
+        """The longest path."""
+        return float(np.max(self.length_m, initial=0.0, where=np.isfinite(self.length_m)))
+
+
+def observations_of(
+    anchor: int,
+    position_m: Array,
+    variance_m2: float,
+    now: tuple[Array, Array, Array],
+    track: RecentTrack,
+    heard: RecentPaths,
+    gain_offset_db: float,
+    noise: NoiseModel,
+    config: AnchorSearchConfig,
+) -> Observations:
+    """The present paths of an anchor and those of remembered epochs, every ``search_stride``-th.
+
+    Parameters
+    ----------
+    anchor : int
+        Its number.
+    position_m, variance_m2
+        The agent at the present epoch, metres, and its variance per axis, square metres.
+    now : tuple of ndarray, shape (M,)
+        Lengths, standard deviations and excess losses of the present paths.
+    track, heard
+        The epochs before.
+    gain_offset_db : float
+        To be taken off all losses; NaN if unknown.
+    noise, config
+        Models.
+    """
+    positions, variances, parts = [position_m], [variance_m2], [now]
+    stride = 1 if len(track.epoch) < config.search_stride else config.search_stride
+    own = heard.anchor == anchor
+    for i in range(len(track.epoch) - 1, -1, -stride):
+        old = np.flatnonzero(own & (heard.epoch == track.epoch[i]))
+        if old.size:
+            positions.append(track.position_m[i])
+            variances.append(float(track.std_m[i]) ** 2)
+            parts.append((heard.length_m[old], heard.std_m[old], heard.excess_loss_db[old]))
+    count = np.array([len(part[0]) for part in parts])[::-1]
+    shape = len(parts), max(int(count.max()), 1)
+    length, variance, ratio = np.full(shape, np.inf), np.ones(shape), np.ones(shape)
+    for e, (lengths, std, loss) in enumerate(reversed(parts)):
+        order = np.argsort(lengths, kind="stable")
+        length[e, : order.size] = lengths[order]
+        variance[e, : order.size] = np.maximum(std[order], noise.range_std_m) ** 2
+        ratio[e, : order.size] = _direct_ratio(loss[order] - gain_offset_db, config)
+    return Observations(
+        np.array(positions[::-1]), np.array(variances[::-1]), count.copy(), length, variance, ratio
+    )
+
+
+def _direct_ratio(loss_db: Array, config: AnchorSearchConfig) -> Array:
+    """Likelihood ratios of losses beyond free space: a line of sight's against any path's."""
+    std = config.los_loss_std_db
+    density = np.exp(-0.5 * (loss_db / std) ** 2) / (np.sqrt(2.0 * np.pi) * std)
+    return np.where(np.isfinite(loss_db), np.maximum(density * config.loss_range_db, _LEAST_LOSS_RATIO), 1.0)
