@@ -124,27 +124,28 @@ def test_truth_is_the_plan(made: Generated, plan: FloorPlan) -> None:
     np.testing.assert_array_equal(truth["reflects"], expected)
 
 
-def test_equal_seeds_give_equal_bytes_in_other_processes(
-    made: Generated, plan: FloorPlan, tmp_path: Path
-) -> None:
-    """Two processes of their own, in other folders, write the very bytes that this one wrote."""
+@pytest.mark.usefixtures("traced")
+def test_equal_seeds_give_equal_bytes_in_another_process(plan: FloorPlan, tmp_path: Path) -> None:
+    """Traced in a process of its own, in another folder, every file has the bytes that this one writes."""
     code = (
         "import json, sys\n"
         "from pathlib import Path\n"
-        "from raytrace.plan.files import parse_floorplan\n"
         "from raytrace.dataset.generate import generate\n"
+        "from raytrace.plan.files import parse_floorplan\n"
         "plan = parse_floorplan(json.loads(sys.argv[1]))\n"
         "generate(plan, Path(sys.argv[2]), seed=1)\n"
     )
-    for name in ("two", "three"):
-        subprocess.run(
-            [sys.executable, "-c", code, plan.canonical_json(), str(tmp_path / name)],
-            cwd=ROOT,
-            check=True,
-            timeout=120,
-            capture_output=True,
-        )
-    assert digests(tmp_path / "two") == digests(tmp_path / "three") == digests(made.dataset.path)
+    subprocess.run(
+        [sys.executable, "-c", code, plan.canonical_json(), str(tmp_path / "there")],
+        cwd=ROOT,
+        check=True,
+        timeout=120,
+        capture_output=True,
+    )
+    made = generate(plan, tmp_path / "here", seed=1)
+    assert made.report.found == made.report.expected > 50
+    assert (made.report.missing, made.report.extra) == (0, 0)
+    assert digests(tmp_path / "there") == digests(tmp_path / "here")
 
 
 def test_other_seed_changes_the_noise_alone(made: Generated, plan: FloorPlan, tmp_path: Path) -> None:
@@ -162,6 +163,7 @@ def test_other_seed_changes_the_noise_alone(made: Generated, plan: FloorPlan, tm
     assert abs(variance - expected) < 5 * expected * np.sqrt(2 / count)
 
 
+@pytest.mark.usefixtures("traced")
 def test_passive_and_echo_noise_are_independent_streams(plan: FloorPlan, tmp_path: Path) -> None:
     """Another kind of sweep changes no channel: the passive noise has its own stream."""
     other = updated(plan, {"echo.model": "radar-equation", "echo.fan_rays": 0})
@@ -278,6 +280,7 @@ def test_snapshots_clocks_and_turning_in_files(plan: FloorPlan, tmp_path: Path) 
     np.testing.assert_allclose(cfr, exact, atol=1e-5 * np.abs(exact).max())
 
 
+@pytest.mark.usefixtures("traced")
 def test_arrays_at_both_ends_in_files(plan: FloorPlan, tmp_path: Path) -> None:
     """Anchors with an array of two rows add an axis; the first antennas are what the manifest says."""
     changes = {

@@ -205,12 +205,15 @@ def _kills(plan: FloorPlan, folder: Path, kills: int, seed: int, jobs: list[int]
         assert digests(room) == digests(whole.path), f"after {done} kills"
 
 
+@pytest.mark.usefixtures("traced")
 def test_killed_by_the_system(short_plan: FloorPlan, tmp_path: Path, digests: Digests) -> None:
-    """SIGKILL at random moments, then on to the same bytes."""
-    _kills(updated(short_plan, {"agent.epochs": 60}), tmp_path, 2, 5, [1], digests)
+    """SIGKILL at a random moment, then on to the same bytes."""
+    plan = updated(short_plan, {"agent.epochs": 24, "echo.sweep_epochs": [0, 12]})
+    _kills(plan, tmp_path, 1, 5, [1], digests)
 
 
 @pytest.mark.soak
+@pytest.mark.usefixtures("traced")
 def test_killed_twenty_times(short_plan: FloorPlan, tmp_path: Path, digests: Digests) -> None:
     """The same twenty times on a longer walk, some of them with two workers."""
     _kills(updated(short_plan, {"agent.epochs": 160}), tmp_path, 20, 6, [1, 1, 2], digests)

@@ -16,33 +16,48 @@ from estimator.executors import open_workers
 from raytrace.dataset.generate import generate
 from raytrace.dataset.output import Output
 from raytrace.plan.floorplan import FloorPlan
+from tests.raytrace.image_tracer import image_shard
 
 Digests = Callable[[Path], dict[str, str]]
 
 
+@pytest.mark.usefixtures("traced")
 def test_two_processes_write_the_bytes_of_one(
-    sharded: Dataset, short_plan: FloorPlan, cut: Output, tmp_path: Path, digests: Digests
+    short_plan: FloorPlan, cut: Output, tmp_path: Path, digests: Digests
 ) -> None:
-    """Spawned workers, finishing in whatever order, make every file as one process does, the manifest too."""
+    """Spawned ray tracers, finishing in whatever order, make every file as this one does, manifest too."""
     told: list[tuple[int, int, str]] = []
     with open_workers(jobs=2) as crew:
         generate(short_plan, tmp_path / "room", 1, lambda *now: told.append(now), output=cut, crew=crew)
-    assert digests(tmp_path / "room") == digests(sharded.path)
+    alone = generate(short_plan, tmp_path / "alone", 1, output=cut).dataset
+    assert digests(tmp_path / "room") == digests(alone.path)
     assert [done for done, _, _ in told] == [0, 10, 20, 30, 40]
     assert "epochs/s" in told[-1][2]
     assert told[-1][2].endswith("0:00 left")
 
 
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.soak)])
 def test_a_cluster_writes_the_bytes_of_one(
-    sharded: Dataset, short_plan: FloorPlan, cut: Output, tmp_path: Path, digests: Digests
+    sharded: Dataset,
+    short_plan: FloorPlan,
+    cut: Output,
+    tmp_path: Path,
+    digests: Digests,
+    monkeypatch: pytest.MonkeyPatch,
+    processes: bool,
 ) -> None:
     """The same through a Dask scheduler with two workers, to which tasks travel by network."""
     distributed = pytest.importorskip("distributed", reason="Dask (the extra cluster) is not installed")
+    monkeypatch.setattr("raytrace.dataset.generate.make_shard", image_shard)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Dask's own
         with (
             distributed.LocalCluster(
-                n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+                n_workers=2,
+                threads_per_worker=1,
+                processes=processes,
+                protocol="tcp://",
+                dashboard_address=None,
             ) as cluster,
             open_workers(scheduler=cluster.scheduler_address) as crew,
         ):
