@@ -13,20 +13,27 @@ All positions are metres in one planar frame; arrays end in an axis of length 2
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "mirror",
     "mirror_in_wall",
+    "mirror_xy",
     "rotate",
+    "rotate_by_angle_of",
     "rotation_matrix",
     "segments_cross",
+    "vrp_of_image",
     "vrp_of_line",
     "wall_normal",
 ]
 
 Array = NDArray[np.float64]
+Scalars = TypeVar("Scalars", float, Array)
 
 
 def wall_normal(vrp: ArrayLike, reference: ArrayLike = (0.0, 0.0)) -> Array:
@@ -47,6 +54,22 @@ def wall_normal(vrp: ArrayLike, reference: ArrayLike = (0.0, 0.0)) -> Array:
     return np.asarray(offset / np.linalg.norm(offset, axis=-1, keepdims=True))
 
 
+def mirror_xy(x: Scalars, y: Scalars, vrp_x: Scalars, vrp_y: Scalars) -> tuple[Scalars, Scalars]:
+    """Coordinates of mirror images in walls half-way between the origin and their VRPs (equation (2)).
+
+    The one definition of a mirror image. It takes numbers or arrays that broadcast, and may be compiled.
+
+    Parameters
+    ----------
+    x, y : float or ndarray
+        Points relative to RP, metres.
+    vrp_x, vrp_y : float or ndarray
+        VRPs relative to RP, metres.
+    """
+    scale = 1.0 - 2.0 * (x * vrp_x + y * vrp_y) / (vrp_x * vrp_x + vrp_y * vrp_y)
+    return x + scale * vrp_x, y + scale * vrp_y
+
+
 def mirror(points: ArrayLike, vrp: ArrayLike, reference: ArrayLike = (0.0, 0.0)) -> Array:
     """Mirror images of points in the walls of given VRPs (equation (2)).
 
@@ -58,19 +81,18 @@ def mirror(points: ArrayLike, vrp: ArrayLike, reference: ArrayLike = (0.0, 0.0))
         Positions, metres.
     vrp : array_like, shape (..., 2)
         VRPs, metres; leading axes broadcast with ``points``.
-    reference : array_like, shape (2,)
-        Reference point, metres.
+    reference : array_like, shape (..., 2)
+        Reference points, metres.
 
     Returns
     -------
     ndarray, shape (..., 2)
     """
-    p = np.asarray(points, dtype=np.float64)
-    v = np.asarray(vrp, dtype=np.float64)
-    r = np.asarray(reference, dtype=np.float64)
-    normal = wall_normal(v, r)
-    height = np.sum((p - 0.5 * (v + r)) * normal, axis=-1, keepdims=True)
-    return np.asarray(p - 2.0 * height * normal)
+    origin = np.asarray(reference, dtype=np.float64)
+    point = np.asarray(points, dtype=np.float64) - origin
+    wall = np.asarray(vrp, dtype=np.float64) - origin
+    image = mirror_xy(point[..., 0], point[..., 1], wall[..., 0], wall[..., 1])
+    return np.asarray(np.stack(image, axis=-1) + origin)
 
 
 def mirror_in_wall(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> Array:
@@ -85,13 +107,10 @@ def mirror_in_wall(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> Array
     -------
     ndarray, shape (..., 2)
     """
-    p = np.asarray(points, dtype=np.float64)
-    a = np.asarray(start, dtype=np.float64)
-    along = np.asarray(end, dtype=np.float64) - a
+    foot = np.asarray(start, dtype=np.float64)
+    along = np.asarray(end, dtype=np.float64) - foot
     normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
-    normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
-    height = np.sum((p - a) * normal, axis=-1, keepdims=True)
-    return np.asarray(p - 2.0 * height * normal)
+    return mirror(points, foot - normal, foot + normal)
 
 
 def vrp_of_line(start: ArrayLike, end: ArrayLike, reference: ArrayLike = (0.0, 0.0)) -> Array:
@@ -111,6 +130,30 @@ def vrp_of_line(start: ArrayLike, end: ArrayLike, reference: ArrayLike = (0.0, 0
     return mirror_in_wall(reference, start, end)
 
 
+def vrp_of_image(image: ArrayLike, position: ArrayLike) -> tuple[Array, Array, Array]:
+    """VRP, RP at the origin, of a wall that shows the agent its mirror image.
+
+    Parameters
+    ----------
+    image : array_like, shape (2,)
+        The agent's mirror image relative to the agent, metres.
+    position : array_like, shape (2,)
+        The agent relative to RP, metres.
+
+    Returns
+    -------
+    vrp : ndarray, shape (2,)
+        ``(1 + 2 p.i / |i|^2) i``.
+    by_image, by_position : ndarray, shape (2, 2)
+        Its derivatives.
+    """
+    i, p = np.asarray(image, dtype=np.float64), np.asarray(position, dtype=np.float64)
+    square = float(i @ i)
+    share = 2.0 * float(p @ i) / square
+    by_image = (1.0 + share) * np.eye(2) + 2.0 / square * np.outer(i, p - share * i)
+    return mirror((0.0, 0.0), p + i, p), by_image, 2.0 / square * np.outer(i, i)
+
+
 def rotation_matrix(angle_rad: float) -> Array:
     """The 2 x 2 matrix that rotates column vectors counter-clockwise by ``angle_rad``."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
@@ -122,6 +165,42 @@ def rotate(points: ArrayLike, angle_rad: float, reference: ArrayLike = (0.0, 0.0
     p = np.asarray(points, dtype=np.float64)
     r = np.asarray(reference, dtype=np.float64)
     return np.asarray((p - r) @ rotation_matrix(angle_rad).T + r)
+
+
+def rotate_by_angle_of(
+    vector: Array, angle: int, columns: Sequence[slice], offset_rad: float = 0.0
+) -> tuple[Array, Array]:
+    """Points of a state vector rotated about the origin by an angle that is one of its elements.
+
+    This is how a state in the gauge frame is told in the estimator's frame.
+
+    Parameters
+    ----------
+    vector : ndarray, shape (n,)
+        State vector.
+    angle : int
+        Index of the angle in it, radians.
+    columns : sequence of slice
+        Where its points (or velocities) stand, two elements each.
+    offset_rad : float
+        Known angle that is added.
+
+    Returns
+    -------
+    points : ndarray, shape (2 P,)
+        The rotated points.
+    jacobian : ndarray, shape (2 P, n)
+        Their derivatives by the state vector.
+    """
+    turn = rotation_matrix(offset_rad + float(vector[angle]))
+    points = np.empty(2 * len(columns))
+    jacobian = np.zeros((2 * len(columns), len(vector)))
+    for i, place in enumerate(columns):
+        rows = slice(2 * i, 2 * i + 2)
+        points[rows] = turn @ vector[place]
+        jacobian[rows, place] = turn
+        jacobian[rows, angle] = -points[2 * i + 1], points[2 * i]
+    return points, jacobian
 
 
 def segments_cross(

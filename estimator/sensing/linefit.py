@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.arrays import BeamSet
 from estimator.errors import ConfigurationError, InputError
+from estimator.geometry import vrp_of_image
 from estimator.measurements import GaussianVrp
 from estimator.sensing.uncertainty import checked_ranges
 
@@ -298,16 +299,7 @@ def fit_wall(
 
 
 def seen_from_reference(image_m: Array, covariance_m2: Array, position_m: Array) -> GaussianVrp:
-    """VRP of a wall that is known by the agent's image relative to the agent.
-
-    With the image at ``i = |i| n`` from the agent at ``p``, the wall is the line ``x . n = p . n + |i| / 2``
-    and ``v = (|i| + 2 p . n) n``.
-    """
-    length = float(np.linalg.norm(image_m))
-    normal = image_m / length
-    along = float(position_m @ normal)
-    outer = np.outer(normal, normal)
-    turn = (np.eye(2) - outer) / length  # d n / d i
-    linear = outer + 2.0 * np.outer(normal, position_m) @ turn + (length + 2.0 * along) * turn
-    covariance = linear @ covariance_m2 @ linear.T
-    return GaussianVrp((length + 2.0 * along) * normal, 0.5 * (covariance + covariance.T))
+    """VRP, with covariance, of a wall known by the image of the agent at ``position_m`` relative to it."""
+    vrp, by_image, _ = vrp_of_image(image_m, position_m)
+    covariance = by_image @ covariance_m2 @ by_image.T
+    return GaussianVrp(vrp, 0.5 * (covariance + covariance.T))

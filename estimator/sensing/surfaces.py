@@ -2,8 +2,8 @@
 
 Two points of a wall determine the mirror image of RP in it, the virtual reference point (VRP):
 it lies on the perpendicular of their connection through RP, (9), and half-way to it is the
-wall, (10). The solution is a quotient of polynomials, (19) and (20); its value and gradient
-are given by the constants ``a0 .. c4`` of Appendix B, (64)-(78), which Theorem 2 puts together:
+wall, (10). The solution is a quotient of polynomials, (19) and (20); its gradient
+is given by the constants ``a1 .. c4`` of Appendix B, (65)-(78), which Theorem 2 puts together:
 
     p_vrp ~ p0 + w Q,   w = [x1 - mu_x1, x2 - mu_x2, y1 - mu_y1, y2 - mu_y2].      (21)-(23)
 
@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import InputError
+from estimator.geometry import vrp_of_line
 
-__all__ = ["PairSolution", "pair_solution", "reflection_points", "vrp_of_pair"]
+__all__ = ["PairSolution", "pair_solution", "reflection_points"]
 
 Array = NDArray[np.float64]
 
@@ -45,28 +46,6 @@ def reflection_points(
     return np.asarray(position_m + np.asarray(distance_m, dtype=np.float64)[..., None] * towards)
 
 
-def vrp_of_pair(first_m: ArrayLike, second_m: ArrayLike, reference_m: ArrayLike = (0.0, 0.0)) -> Array:
-    """VRP of the wall through two RSPs, equations (19) and (20).
-
-    Parameters
-    ----------
-    first_m, second_m : array_like, shape (..., 2)
-        The RSPs, metres, distinct.
-    reference_m : array_like, shape (2,)
-        RP, metres.
-
-    Returns
-    -------
-    ndarray, shape (..., 2)
-
-    Raises
-    ------
-    InputError
-        If two points coincide.
-    """
-    return pair_solution(first_m, second_m, reference_m).mean_m
-
-
 @dataclass(frozen=True, eq=False)
 class PairSolution:
     """The linear approximation of a VRP about a pair of RSPs (Theorem 2).
@@ -74,7 +53,7 @@ class PairSolution:
     Parameters
     ----------
     mean_m : ndarray, shape (..., 2)
-        ``p0 = [a0 / b0, c0 / b0]``: (19) and (20) at the pair.
+        ``p0``: (19) and (20) at the pair.
     gradient : ndarray, shape (..., 4, 2)
         ``Q = [q_x, q_y]``, (22) and (23): derivatives by ``x1, x2, y1, y2``.
     """
@@ -90,8 +69,10 @@ def pair_solution(
 
     Parameters
     ----------
-    first_m, second_m, reference_m
-        As in :func:`vrp_of_pair`.
+    first_m, second_m : array_like, shape (..., 2)
+        The RSPs, metres, distinct.
+    reference_m : array_like, shape (2,)
+        RP, metres.
 
     Returns
     -------
@@ -111,8 +92,7 @@ def pair_solution(
     b0 = dx**2 + dy**2  # (69)
     if np.any(b0 == 0.0):
         raise InputError("first_m, second_m: expected distinct points, got coinciding ones")
-    a0 = x_rp * dx**2 - (x_rp - 2.0 * x1) * dy**2 + 2.0 * (y_rp - y1) * dy * dx  # (64)
-    c0 = y_rp * dy**2 - (y_rp - 2.0 * y1) * dx**2 + 2.0 * (x_rp - x1) * dy * dx  # (74)
+    vrp = vrp_of_line(first, second, reference_m)  # (19), (20)
     y2, x2 = second[..., 1], second[..., 0]
     a = (
         -2.0 * x_rp * dx + 2.0 * dy**2 - 2.0 * (y_rp - y1) * dy,  # (65)
@@ -127,7 +107,7 @@ def pair_solution(
         -2.0 * y_rp * dy + 2.0 * dx**2 - 2.0 * (x_rp - x1) * dx,  # (77)
         2.0 * y_rp * dy + 2.0 * (x_rp - x1) * dx,  # (78)
     )
-    q_x = [(a_i * b0 - a0 * b_i) / b0**2 for a_i, b_i in zip(a, b, strict=True)]  # (22)
-    q_y = [(c_i * b0 - c0 * b_i) / b0**2 for c_i, b_i in zip(c, b, strict=True)]  # (23)
+    q_x = [(a_i - vrp[..., 0] * b_i) / b0 for a_i, b_i in zip(a, b, strict=True)]  # (22)
+    q_y = [(c_i - vrp[..., 1] * b_i) / b0 for c_i, b_i in zip(c, b, strict=True)]  # (23)
     gradient = np.stack([np.stack(q_x, axis=-1), np.stack(q_y, axis=-1)], axis=-1)
-    return PairSolution(np.stack([a0 / b0, c0 / b0], axis=-1), gradient)
+    return PairSolution(vrp, gradient)

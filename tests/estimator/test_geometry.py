@@ -5,12 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimator.compiled import compiled
 from estimator.geometry import (
     mirror,
     mirror_in_wall,
+    mirror_xy,
     rotate,
+    rotate_by_angle_of,
     rotation_matrix,
     segments_cross,
+    vrp_of_image,
     vrp_of_line,
     wall_normal,
 )
@@ -49,6 +53,41 @@ def test_vrp_and_wall_say_the_same() -> None:
     vrp = vrp_of_line(start, end, REFERENCE)
     np.testing.assert_allclose(mirror(points, vrp, REFERENCE), mirror_in_wall(points, start, end), atol=1e-9)
     np.testing.assert_allclose(mirror_in_wall(start, start, end), start, atol=1e-12)
+
+
+def test_the_compiled_mirror_is_the_same_bits() -> None:
+    """What runs in compiled functions and what arrays get are one definition."""
+    one = compiled(mirror_xy)
+    points, vrps = RNG.uniform(-20.0, 20.0, (2, 50, 2))
+    images = np.array([one(*point, *vrp) for point, vrp in zip(points, vrps, strict=True)])
+    np.testing.assert_array_equal(images, mirror(points, vrps))
+
+
+def test_a_wall_is_known_by_the_agents_image() -> None:
+    """The VRP that an image implies is that of the wall; its derivatives are those of small changes."""
+    vrp, position = np.array([14.0, -3.0]), np.array([2.0, 5.0])
+    image = mirror(position, vrp) - position
+    found, by_image, by_position = vrp_of_image(image, position)
+    np.testing.assert_allclose(found, vrp, atol=1e-12)
+    for derivative, moved in (
+        (by_image, lambda step: vrp_of_image(image + step, position)[0]),
+        (by_position, lambda step: vrp_of_image(image, position + step)[0]),
+    ):
+        for axis, step in enumerate(1e-5 * np.eye(2)):
+            slope = (moved(step) - moved(-step)) / 2e-5
+            np.testing.assert_allclose(derivative[:, axis], slope, atol=1e-7)
+
+
+def test_a_state_is_rotated_with_the_derivatives_by_its_angle() -> None:
+    """Points as `rotate` gives them, and derivatives as those of small changes."""
+    state = RNG.normal(size=7)
+    columns, offset = (slice(0, 2), slice(5, 7)), 0.4
+    points, jacobian = rotate_by_angle_of(state, 4, columns, offset)
+    expected = rotate(np.stack([state[place] for place in columns]), offset + state[4])
+    np.testing.assert_allclose(points.reshape(2, 2), expected, atol=1e-15)
+    for i, step in enumerate(1e-6 * np.eye(7)):
+        ahead, behind = (rotate_by_angle_of(state + s, 4, columns, offset)[0] for s in (step, -step))
+        np.testing.assert_allclose(jacobian[:, i], (ahead - behind) / 2e-6, atol=1e-8)
 
 
 def test_broadcasting() -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.geometry import rotation_matrix
+from estimator.geometry import rotate_by_angle_of, rotation_matrix
 from estimator.slam.features import predict_azimuths, predict_paths
 from estimator.slam.gaussian.sweeps import predict_flashes
 from estimator.slam.layout import Layout
@@ -176,16 +176,14 @@ def _measured(problem: Problem, at: Trajectory) -> tuple[Array, NDArray[np.int64
 def _sensed(problem: Problem, still: Array) -> tuple[Array, Array]:
     """Whitened derivatives (m, n) and residuals (m,) of the walls sensed at the start."""
     layout = problem.layout
-    turn = rotation_matrix(problem.bearing_rad + float(still[layout.THETA]))
     rows, residuals = [np.zeros((0, layout.size))], [np.zeros(0)]
     for slot, wall in enumerate(problem.sensed):
         if wall is None:
             continue
         whiten = np.linalg.inv(np.linalg.cholesky(wall.covariance_m2))
-        expected = turn @ still[layout.wall(slot)]
-        jacobian = np.zeros((2, layout.size))
-        jacobian[:, layout.wall(slot)] = turn
-        jacobian[:, layout.THETA] = (-expected[1], expected[0])
+        expected, jacobian = rotate_by_angle_of(
+            still, layout.THETA, (layout.wall(slot),), problem.bearing_rad
+        )
         rows.append(whiten @ jacobian)
         residuals.append(whiten @ (wall.mean_m - expected))
     return np.concatenate(rows), np.concatenate(residuals)

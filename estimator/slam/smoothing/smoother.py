@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import ConfigurationError, InputError
-from estimator.geometry import rotation_matrix
+from estimator.geometry import rotate_by_angle_of
 from estimator.slam.layout import Layout
 from estimator.slam.smoothing.arrowhead import Marginals, eliminate
 from estimator.slam.smoothing.factors import Problem, SweepFactor, Trajectory
@@ -228,18 +228,11 @@ def _place(problem: Problem, trajectory: Trajectory, marginals: Marginals, t: in
     layout, (basis, _) = problem.layout, problem.basis()
     state = trajectory.still.copy()
     state[Layout.AGENT] = trajectory.agent[t]
-    turn = rotation_matrix(problem.bearing_rad + float(state[layout.THETA]))
     pairs = [slice(0, 2), slice(2, 4), *(layout.anchor_xy(k) for k in range(layout.anchors))]
     pairs += [layout.wall(slot) for slot in range(layout.slots)]
-    linear = np.zeros((2 * len(pairs) + 1, layout.size))
-    values = np.empty(2 * len(pairs) + 1)
-    for i, pair in enumerate(pairs):
-        rows = slice(2 * i, 2 * i + 2)
-        values[rows] = turn @ state[pair]
-        linear[rows, pair] = turn
-        linear[rows, layout.THETA] = (-values[2 * i + 1], values[2 * i])
-    values[-1] = state[layout.THETA]
-    linear[-1, layout.THETA] = 1.0
+    points, jacobian = rotate_by_angle_of(state, layout.THETA, pairs, problem.bearing_rad)
+    values = np.append(points, state[layout.THETA])
+    linear = np.vstack([jacobian, np.eye(layout.size)[layout.THETA]])
     by_agent, by_border = linear[:, Layout.AGENT], linear @ basis
     mixed = by_agent @ marginals.cross[t] @ by_border.T
     covariance = (
