@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from estimator.errors import InputError
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.placement import enclosed
-from raytrace.propagation.images import image_paths, surfaces_of
+from raytrace.propagation.images import image_paths, mirrored, surfaces_of
 from raytrace.propagation.paths import PathList
 
 __all__ = ["COLOURS", "draw_coverage", "draw_paths", "draw_plan", "path_vertices", "received_power", "style"]
@@ -217,8 +217,7 @@ def path_vertices(plan: FloorPlan, paths: PathList, positions_m: Array) -> Array
         walls = paths.walls[row, : paths.order[row]]
         images = [anchors[paths.anchor[row]]]
         for wall in walls:
-            normal = surfaces.normal[wall]
-            images.append(images[-1] - 2.0 * normal * ((images[-1] - surfaces.origin[wall]) @ normal))
+            images.append(mirrored(surfaces, images[-1][None], np.array([wall]))[0])
         vertices[row, 0] = images[0]
         point = vertices[row, len(walls) + 1] = positions_m[paths.epoch[row]]
         for bounce in range(len(walls), 0, -1):
