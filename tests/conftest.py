@@ -19,11 +19,15 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Refuse tests that do not say what they are for."""
+    """Refuse tests that do not say what they are for; the estimator, which is compiled first, comes first.
+
+    Tests with servers wait for answers so long, and no longer.
+    """
     tests = [item for item in items if isinstance(item, pytest.Function)]
     mute = sorted({test.nodeid.split("[")[0] for test in tests if not test.function.__doc__})
     if mute:
         raise pytest.UsageError("expected a docstring in every test, missing in:\n  " + "\n  ".join(mute))
+    items.sort(key=lambda item: item.path.is_relative_to(ROOT / "tests" / "browser"))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

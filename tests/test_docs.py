@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
-import subprocess
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,32 +27,21 @@ def blocks(page: str) -> Iterator[tuple[str, str]]:
     yield from re.findall(r"^```(\w+)\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
 
 
-def run(arguments: list[str], folder: Path) -> str:
-    """Run Python in a folder, with the repository to import from; return what it prints."""
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "HOME": str(Path.home())},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, f"{arguments}:\n{done.stdout}{done.stderr}"
-    return done.stdout
-
-
 @pytest.mark.parametrize("page", PAGES)
-def test_snippets_run(page: str, tmp_path: Path) -> None:
+def test_snippets_run(
+    page: str, main: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The `$ hapslam` lines and the Python blocks of a page run in their order in one folder."""
+    monkeypatch.chdir(tmp_path)
     for language, text in blocks(page):
         if language == "python":
-            assert run(["-W", "error", "-c", text], tmp_path)
+            exec(compile(text, page, "exec"), {"__name__": "__main__"})
         elif language == "console":
             for line in text.splitlines():
                 command, *arguments = shlex.split(line.removeprefix("$ "))
                 assert command == "hapslam", f"{page}: expected '$ hapslam ...', got {line!r}"
-                run(["-c", "from service.cli import main; main()", *arguments], tmp_path)
+                run = main(*arguments)
+                assert run.status == 0, f"{page}: {line}: {run.err}"
 
 
 def test_the_readme_has_snippets() -> None:

@@ -16,6 +16,7 @@ Runner = Callable[..., SimpleNamespace]
 SCENES = ["corridor", "hall", "l-room-hard", "office", "warehouse"]  # but for the L-room
 
 
+@pytest.mark.soak
 def test_the_estimator_is_measured_in_earnest(main: Runner) -> None:
     """Real figures of the estimator, positive and within ten times their bars, with machine and versions."""
     run = main("bench", "--only", "estimator", "--quick", "--json")
@@ -36,6 +37,7 @@ def test_the_estimator_is_measured_in_earnest(main: Runner) -> None:
         assert row["ratio"] == pytest.approx(row["peer_value"] / row["value"])
 
 
+@pytest.mark.soak
 def test_the_ray_tracer_is_measured_in_earnest(main: Runner) -> None:
     """Ours is beside one solver call per position and far faster; a small dataset stays within its memory.
 

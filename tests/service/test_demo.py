@@ -67,7 +67,7 @@ def test_demo_writes_everything(demo: tuple[Path, SimpleNamespace]) -> None:
     assert {"seconds", "versions", "settings", "seed"} <= set(record)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.soak) for n in range(2, 11))])
 def test_demo_finds_the_room(
     demo: tuple[Path, SimpleNamespace], hapslam: Runner, tmp_path: Path, seed: int
 ) -> None:
@@ -110,11 +110,11 @@ def test_stages_one_by_one_give_the_same_bytes_without_the_truth(
 
 
 def test_another_seed_gives_other_noise(
-    demo: tuple[Path, SimpleNamespace], hapslam: Runner, tmp_path: Path
+    demo: tuple[Path, SimpleNamespace], main: Runner, tmp_path: Path
 ) -> None:
     """The seed reaches the noise, and nothing else: paths and truth are the same."""
     out, _ = demo
-    assert hapslam("trace", "l-room", "--seed", 2, "--out", tmp_path / "dataset").status == 0
+    assert main("trace", "l-room", "--seed", 2, "--out", tmp_path / "dataset").status == 0
     same = {
         file.name: (tmp_path / "dataset" / file.name).read_bytes() == file.read_bytes()
         for file in (out / "dataset").glob("*.nc")
