@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 import sys
 import time
@@ -13,8 +12,6 @@ from enum import StrEnum
 from importlib import import_module, metadata
 from importlib.util import find_spec
 from pathlib import Path
-from statistics import median
-from timeit import repeat
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -25,7 +22,6 @@ if TYPE_CHECKING:
 __all__ = ["register"]
 
 _PACKAGES = ("hapslam", "numpy", "scipy", "sionna-rt", "mitsuba", "drjit", "fastapi", "sqlalchemy")
-_OPERATIONS = 20_000
 
 
 class Part(StrEnum):
@@ -117,21 +113,15 @@ def _print_table(about: dict[str, Any], rows: Iterator[tuple[Part, Row]]) -> Non
 
 
 def _machine() -> dict[str, Any]:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    from estimator.executors import available_cores
+    from service.bench.rows import small_operation_us
+
     return {
         "cpu": _cpu(),
-        "cores": cores,
+        "cores": available_cores(),
         "system": platform.platform(terse=True),
-        "small_operation_us": _small_operation_us(),
+        "small_operation_us": small_operation_us(),
     }
-
-
-def _small_operation_us() -> float:
-    """What NumPy takes to add ten numbers: it tells the figures of a slow or busy machine from others."""
-    import numpy as np
-
-    ten = np.ones(10)
-    return 1e6 * median(repeat(lambda: ten + ten, number=_OPERATIONS, repeat=7)) / _OPERATIONS
 
 
 def _cpu() -> str:

@@ -7,7 +7,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-__all__ = ["Row", "cpu_s"]
+__all__ = ["Row", "cpu_s", "small_operation_us"]
+
+_OPERATIONS = 20_000
 
 
 @dataclass(frozen=True)
@@ -60,3 +62,16 @@ def cpu_s(work: Callable[[], object], repeats: int) -> float:
         work()
         taken.append(time.process_time() - begin)
     return statistics.median(taken)
+
+
+def small_operation_us() -> float:
+    """CPU time that NumPy takes to add ten numbers: it tells a slow or busy machine from slow code."""
+    import numpy as np
+
+    ten = np.ones(10)
+
+    def work() -> None:
+        for _ in range(_OPERATIONS):
+            ten + ten
+
+    return 1e6 * cpu_s(work, 7) / _OPERATIONS
