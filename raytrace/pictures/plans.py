@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import InputError
 from raytrace.plan.floorplan import FloorPlan
-from raytrace.plan.placement import enclosed
+from raytrace.plan.space import confined
 from raytrace.propagation.images import image_paths, mirrored, surfaces_of
 from raytrace.propagation.paths import PathList
 
@@ -173,15 +173,20 @@ def received_power(plan: FloorPlan, depth: int = 1) -> tuple[Array, Array, Array
     x, y : ndarray, shapes (columns,), (rows,)
         Places of the lattice, metres.
     power_dbm : ndarray, shape (columns, rows, anchors)
-        dBm; NaN outside of the walls, ``-inf`` where no path arrives.
+        dBm; NaN outside of the walls (in scenes where the agent walks inside), ``-inf`` where
+        no path arrives.
     """
     start, end = plan.walls_m()
-    low, high = np.minimum(start, end).min(axis=0), np.maximum(start, end).max(axis=0)
+    track = plan.track()[:, :2]
+    corners = np.vstack([start, end, track, plan.anchors_m()[:, :2]])
+    low, high = corners.min(axis=0), corners.max(axis=0)
     size = high - low
     pitch = float(max(np.sqrt(size[0] * size[1] / _MOST_PIXELS), 0.05))
     x, y = (np.arange(low[axis] + 0.5 * pitch, high[axis], pitch) for axis in range(2))
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-    room = enclosed(start, end)
+    room = confined(start, end)
+    if not shapely.contains_xy(room, *track[0]):
+        room = shapely.box(*low, *high)
     shapely.prepare(room)
     inside = shapely.contains_xy(room, places[..., 0], places[..., 1])
     positions = np.column_stack([places[inside], np.full(int(inside.sum()), plan.agent.height_m)])

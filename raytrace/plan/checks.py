@@ -1,7 +1,8 @@
 """Whether a floor plan is possible: materials, walls, and who stands where.
 
 The ray tracer is silent about nonsense (a transmitter inside a wall just has no
-paths), so everything is checked before it is traced.
+paths), so everything is checked before it is traced. Anchors, agents and targets may stand
+anywhere off the walls: a plan need not enclose anything.
 """
 
 from __future__ import annotations
@@ -13,18 +14,17 @@ import numpy as np
 import shapely
 
 from estimator.errors import InputError
+from raytrace.plan.errors import PlanFault
 from raytrace.plan.materials import ITU_MATERIALS
 
 if TYPE_CHECKING:
     from raytrace.plan.floorplan import FloorPlan
 
-__all__ = ["PlanFault", "check_plan"]
+__all__ = ["check_plan"]
 
 _SNAP_M = 1e-3
-
-
-class PlanFault(InputError):
-    """What is wrong with a plan: the field, what was expected, what came."""
+# The radar equation and the spherical wave have no near field: nothing stands nearer to an antenna.
+_NEAR_FIELD_M = 0.1
 
 
 def check_plan(plan: FloorPlan) -> None:
@@ -38,14 +38,14 @@ def check_plan(plan: FloorPlan) -> None:
     _check_names(plan)
     _check_walls(plan)
     _check_materials(plan)
-    room = _room(plan)
-    _check_anchors(plan, room)
-    _check_agent(plan, room)
-    _check_targets(plan, room)
+    lines = shapely.STRtree(shapely.linestrings(np.stack(plan.walls_m(), axis=1)))
+    _check_anchors(plan, lines)
+    _check_agent(plan, lines)
+    _check_targets(plan, lines)
     for index, (name, alone) in enumerate(list(plan.by_agent().items())[1:]):
         try:
-            _check_agent(alone, room)
-            _check_targets(alone, room)
+            _check_agent(alone, lines)
+            _check_targets(alone, lines)
         except PlanFault as fault:
             raise PlanFault(f"agents[{index}] ({name}): {fault}") from fault
 
@@ -103,37 +103,40 @@ def _check_materials(plan: FloorPlan) -> None:
                 raise PlanFault(f"{field}: expected names among {', '.join(known)}, got {material!r}")
 
 
-def _room(plan: FloorPlan) -> shapely.Geometry:
-    """The area that the walls enclose; corners that meet within a millimetre are closed."""
-    lines = shapely.linestrings([(wall.from_m, wall.to_m) for wall in plan.walls])
-    network = shapely.union_all(shapely.set_precision(lines, _SNAP_M))
-    return shapely.union_all(shapely.get_parts(shapely.polygonize([*shapely.get_parts(network)])))
+def _struck(plan: FloorPlan, lines: shapely.STRtree, geometry: shapely.Geometry) -> list[tuple[int, float]]:
+    """Walls within whose thickness a geometry lies, by their numbers, and its distance from their lines."""
+    thickest = max(wall.thickness_m for wall in plan.walls)
+    near = np.sort(lines.query(geometry, predicate="dwithin", distance=0.5 * thickest))
+    gaps = shapely.distance(lines.geometries[near], geometry)
+    return [
+        (int(index), float(gap))
+        for index, gap in zip(near, gaps, strict=True)
+        if gap <= 0.5 * plan.walls[index].thickness_m
+    ]
 
 
-def _check_anchors(plan: FloorPlan, room: shapely.Geometry) -> None:
+def _check_place(
+    plan: FloorPlan, lines: shapely.STRtree, field: str, position_m: tuple[float, float, float]
+) -> None:
+    """Whether an anchor or a target stands under the ceiling and off the walls."""
+    x, y, z = position_m
+    if not 0.0 < z < plan.ceiling_height_m:
+        raise PlanFault(f"{field}: expected a height between 0 and {plan.ceiling_height_m:g} m, got {z:g} m")
+    for index, gap in _struck(plan, lines, shapely.Point(x, y)):
+        wall = plan.walls[index]
+        if z <= wall.height_m:
+            raise PlanFault(
+                f"{field}: expected a place more than {0.5 * wall.thickness_m:g} m from every wall's "
+                f"centre line, got ({x:g}, {y:g}), {gap:.3g} m from wall {wall.name!r}: it is in the wall"
+            )
+
+
+def _check_anchors(plan: FloorPlan, lines: shapely.STRtree) -> None:
     for index, anchor in enumerate(plan.anchors):
-        field = f"anchors[{index}] ({anchor.name}).position_m"
-        x, y, z = anchor.position_m
-        if not 0.0 < z < plan.ceiling_height_m:
-            raise PlanFault(
-                f"{field}: expected a height between 0 and {plan.ceiling_height_m:g} m, got {z:g} m"
-            )
-        point = shapely.Point(x, y)
-        for wall in plan.walls:
-            distance = shapely.distance(point, shapely.linestrings([wall.from_m, wall.to_m]))
-            if z <= wall.height_m and distance <= 0.5 * wall.thickness_m:
-                raise PlanFault(
-                    f"{field}: expected a place more than {0.5 * wall.thickness_m:g} m from every wall's "
-                    f"centre line, got ({x:g}, {y:g}), {distance:.3g} m from wall {wall.name!r}: "
-                    "it is in the wall"
-                )
-        if not shapely.contains(room, point):
-            raise PlanFault(
-                f"{field}: expected a place inside the room (enclosed by walls), got ({x:g}, {y:g})"
-            )
+        _check_place(plan, lines, f"anchors[{index}] ({anchor.name}).position_m", anchor.position_m)
 
 
-def _check_agent(plan: FloorPlan, room: shapely.Geometry) -> None:
+def _check_agent(plan: FloorPlan, lines: shapely.STRtree) -> None:
     agent = plan.agent
     if agent.height_m >= plan.ceiling_height_m:
         raise PlanFault(
@@ -154,48 +157,29 @@ def _check_agent(plan: FloorPlan, room: shapely.Geometry) -> None:
         raise PlanFault(
             f"echo.sweep_epochs: expected epochs below agent.epochs = {agent.epochs}, got {beyond[0]}"
         )
-    points = shapely.points(track[:, :2])
-    inside = shapely.contains(room, points)
-    if not inside.all():
-        epoch = int(np.argmin(inside))
-        x, y, _ = track[epoch]
-        verb = "starts outside" if epoch == 0 else "leaves"
+    path = shapely.linestrings(track[:, :2]) if len(track) > 1 else shapely.Point(track[0, :2])
+    for index, gap in _struck(plan, lines, path):
+        wall = plan.walls[index]
         raise PlanFault(
-            f"agent.waypoints_m: expected a track inside the room (enclosed by walls), "
-            f"got ({x:.2f}, {y:.2f}) at epoch {epoch}: the agent {verb} the room"
+            f"agent.waypoints_m: expected a track that stays more than {0.5 * wall.thickness_m:g} m from "
+            f"every wall's centre line, got {gap:.3g} m from wall {wall.name!r}: the agent crosses the wall"
         )
-    path = shapely.linestrings(track[:, :2]) if len(track) > 1 else points[0]
-    for wall in plan.walls:
-        distance = shapely.distance(path, shapely.linestrings([wall.from_m, wall.to_m]))
-        if distance <= 0.5 * wall.thickness_m:
-            raise PlanFault(
-                f"agent.waypoints_m: expected a track that stays more than {0.5 * wall.thickness_m:g} m from "
-                f"every wall's centre line, got {distance:.3g} m from wall {wall.name!r}: "
-                "the agent crosses the wall"
-            )
     for index, anchor in enumerate(plan.anchors):
         gap = float(np.linalg.norm(track - np.array(anchor.position_m), axis=1).min())
-        if gap < 0.1:
+        if gap < _NEAR_FIELD_M:
             raise PlanFault(
-                f"anchors[{index}] ({anchor.name}).position_m: expected at least 0.1 m to the agent's track, "
-                f"got {gap:.3g} m"
+                f"anchors[{index}] ({anchor.name}).position_m: expected at least {_NEAR_FIELD_M:g} m to the "
+                f"agent's track, got {gap:.3g} m"
             )
 
 
-def _check_targets(plan: FloorPlan, room: shapely.Geometry) -> None:
-    """Targets are inside the room and off the agent's track: the radar equation has no near field."""
+def _check_targets(plan: FloorPlan, lines: shapely.STRtree) -> None:
     track = plan.track()
     for index, target in enumerate(plan.targets):
         field = f"targets[{index}] ({target.name}).position_m"
-        x, y, z = target.position_m
-        if not 0.0 < z < plan.ceiling_height_m:
-            raise PlanFault(
-                f"{field}: expected a height between 0 and {plan.ceiling_height_m:g} m, got {z:g} m"
-            )
-        if not shapely.contains(room, shapely.Point(x, y)):
-            raise PlanFault(
-                f"{field}: expected a place inside the room (enclosed by walls), got ({x:g}, {y:g})"
-            )
+        _check_place(plan, lines, field, target.position_m)
         gap = float(np.linalg.norm(track - np.array(target.position_m), axis=1).min())
-        if gap < 0.1:
-            raise PlanFault(f"{field}: expected at least 0.1 m to the agent's track, got {gap:.3g} m")
+        if gap < _NEAR_FIELD_M:
+            raise PlanFault(
+                f"{field}: expected at least {_NEAR_FIELD_M:g} m to the agent's track, got {gap:.3g} m"
+            )

@@ -6,7 +6,13 @@ from collections.abc import Iterator
 
 from pydantic import ValidationError
 
-__all__ = ["one_line"]
+from estimator.errors import InputError
+
+__all__ = ["PlanFault", "one_line"]
+
+
+class PlanFault(InputError):
+    """What is wrong with a plan: the field, what was expected, what came."""
 
 
 def one_line(error: ValidationError) -> str:

@@ -17,10 +17,11 @@ from pydantic import ValidationError
 
 from estimator.dataset import require_absent, write_text
 from estimator.errors import InputError
-from raytrace.plan.checks import PlanFault, check_plan
-from raytrace.plan.errors import one_line
+from raytrace.plan.checks import check_plan
+from raytrace.plan.errors import PlanFault, one_line
 from raytrace.plan.floorplan import FORMAT, VERSION, FloorPlan
 from raytrace.plan.links import Part
+from raytrace.plan.sound_walls import sound_walls
 
 __all__ = [
     "FloorPlanError",
@@ -38,7 +39,7 @@ class FloorPlanError(InputError):
 
 
 def parse_floorplan(data: Mapping[str, Any], source: str = "floor plan") -> FloorPlan:
-    """Build a plan from the contents of a TOML file and check that it makes sense.
+    """Build a plan from the contents of a TOML file, make its walls sound, and check that it makes sense.
 
     Parameters
     ----------
@@ -63,6 +64,7 @@ def parse_floorplan(data: Mapping[str, Any], source: str = "floor plan") -> Floo
     except ValidationError as error:
         raise FloorPlanError(f"{source}: {one_line(error)}") from error
     try:
+        plan = plan.repaired(*sound_walls(plan.walls))
         check_plan(plan)
     except PlanFault as fault:
         raise FloorPlanError(f"{source}: {fault}") from fault
@@ -86,8 +88,7 @@ def load_floorplan(path_or_name: str | Path) -> FloorPlan:
             f"{path_or_name}: expected a floor plan file or one of {names}; nothing is there"
         )
     try:
-        with path.open("rb") as stream:
-            data = tomllib.load(stream)
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Windows' Notepad begins with a mark
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise FloorPlanError(f"{path}: expected a TOML file, could not read it: {error}") from error
     return parse_floorplan(data, source=str(path))

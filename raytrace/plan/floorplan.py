@@ -12,11 +12,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
-from raytrace.plan.devices import Agent, Anchor, FurtherAgent, Name, Target
+from raytrace.plan.devices import Agent, Anchor, FurtherAgent, Name, Point2, Target
 from raytrace.plan.links import Echo, Part, Radio, added
 from raytrace.plan.materials import permittivity, relative_permittivity
+from raytrace.plan.sound_walls import Repairs
 from raytrace.plan.surfaces import Fraction, Material, ScatteringPattern, Slab, Wall
 from raytrace.plan.trajectory import smoothed_track, travel_azimuths
 
@@ -24,6 +25,7 @@ __all__ = [
     "Agent",
     "Anchor",
     "FloorPlan",
+    "Georeference",
     "Slab",
     "Target",
     "Tracing",
@@ -32,6 +34,17 @@ __all__ = [
 
 FORMAT = "hapslam-floorplan"
 VERSION = 1
+
+
+class Georeference(Part):
+    """Where on Earth a plan lies: the point of a coordinate reference system that is the plan's (0, 0).
+
+    ``crs`` names the system, such as ``EPSG:25832``; ``EPSG:4326`` has degrees (east, north), in which
+    case the plan's axes are metres to the east and north of the origin. ``unknown`` is a drawing's own.
+    """
+
+    crs: Annotated[str, Field(min_length=1, max_length=200)] = "unknown"
+    origin: Point2
 
 
 class Tracing(Part):
@@ -82,6 +95,19 @@ class FloorPlan(Part):
     radio: Radio = Radio()
     echo: Echo = Echo()
     tracing: Tracing = Tracing()
+    georeference: Georeference | None = added(None)
+    _repairs: Repairs = PrivateAttr(default=Repairs())
+
+    @property
+    def repairs(self) -> Repairs:
+        """What was changed in the walls when the plan was loaded."""
+        return self._repairs
+
+    def repaired(self, walls: tuple[Wall, ...], repairs: Repairs) -> FloorPlan:
+        """The same with other walls, and a record of why."""
+        plan = self.model_copy(update={"walls": walls})
+        plan._repairs = repairs
+        return plan
 
     @property
     def has_floor(self) -> bool:

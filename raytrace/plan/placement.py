@@ -1,9 +1,9 @@
-"""Where an agent can walk and anchors can hang, in a plan that does not say.
+"""Where an agent walks and anchors hang, in a plan that does not say.
 
-The free space is what the walls enclose, less a clearance around them. The walk starts
-at one end of it and goes, time and again, along the shortest path to what is farthest
-from all it has passed, until everything is near it or it is long enough; anchors are
-put one by one where they see most of the walk that too few anchors saw before.
+The walk stays in one space of the plan (:mod:`raytrace.plan.space`). It starts at one end
+and goes, time and again, along the shortest path to what is farthest from all it has passed,
+until everything is near it or it is long enough; anchors are put one by one where they see
+most of the walk that too few anchors saw before.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from estimator.errors import InputError
+from raytrace.plan.space import main_space
 from raytrace.plan.trajectory import smoothed_track
 
-__all__ = ["Walk", "enclosed", "place_anchors", "plan_walk"]
+__all__ = ["Walk", "place_anchors", "plan_walk"]
 
 Array = NDArray[np.float64]
 
-# Less than half a door; and half a wall and what smoothing cuts off a corner.
-_CLEARANCE_M = 0.3
-_MARGIN_M = 0.15
+# What smoothing cuts off a corner is less than the clearance.
 _SMOOTHING_M = 0.5
-_NODES = 5000
+# Points of the lattice on which routes are sought: enough for doors, few enough for seconds.
+_NODES, _MOST_NODES = 5_000, 40_000
+_FINEST_M, _COARSEST_M = 0.1, 0.3
 # What is nearer than this to the walk need not be visited.
 _NEAR_M = 2.5
-_SNAP_M = 1e-3
 # Off the lattice on which walls are drawn.
 _ORIGIN = (0.37, 0.41)
 
@@ -57,17 +57,15 @@ class Walk:
     smoothing_m: float = _SMOOTHING_M
 
 
-def enclosed(start_m: Array, end_m: Array) -> shapely.Geometry:
-    """The area that walls (n, 2), (n, 2) enclose; gaps up to a millimetre are closed."""
-    lines = shapely.linestrings(np.stack([start_m, end_m], axis=1))
-    network = shapely.union_all(shapely.set_precision(lines, _SNAP_M))
-    return shapely.union_all(shapely.get_parts(shapely.polygonize([*shapely.get_parts(network)])))
-
-
 def plan_walk(
-    start_m: Array, end_m: Array, thickness_m: Array, most_epochs: int = 236, step_m: float = 0.5
+    start_m: Array,
+    end_m: Array,
+    thickness_m: Array,
+    most_epochs: int = 236,
+    step_m: float = 0.5,
+    free: shapely.Geometry | None = None,
 ) -> Walk:
-    """A walk through the largest connected free space.
+    """A walk through a connected free space.
 
     Parameters
     ----------
@@ -79,21 +77,18 @@ def plan_walk(
         Length of the walk in steps.
     step_m : float
         Step of a long walk, metres; a short one is divided into sixty steps.
+    free : shapely.Polygon, optional
+        Where to walk; by default the plan's main space (:func:`raytrace.plan.space.main_space`).
 
     Raises
     ------
     InputError
-        If the walls enclose nothing, or nothing wide enough to walk in.
+        If nothing is wide enough to walk in.
     """
-    room = enclosed(start_m, end_m)
-    if room.is_empty:
-        raise InputError("walls: expected walls that enclose a room, got none that do (gaps at corners?)")
-    free = _free(room, start_m, end_m, thickness_m)
+    free = main_space(start_m, end_m, thickness_m).free if free is None else free
     nodes, graph = _lattice(free)
     if len(nodes) < 3:
-        raise InputError(
-            f"walls: expected space to walk {_CLEARANCE_M:g} m from the walls, got none in {room.area:.3g} m2"
-        )
+        raise InputError(f"walls: expected space to walk in, got {shapely.area(free):.3g} m2 off the walls")
     legs = [_taut(nodes[leg], free) for leg in _explore(graph, 1.1 * most_epochs * step_m)]
     waypoints = np.round(np.vstack([legs[0][:1], *(leg[1:] for leg in legs)]), 3)
     length = float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
@@ -116,8 +111,9 @@ def place_anchors(
     least: int = 2,
     most: int = 6,
     wanted: int = 2,
+    free: shapely.Geometry | None = None,
 ) -> Array:
-    """Places from which a track is seen.
+    """Places from which a track is seen, in the space of the track.
 
     Parameters
     ----------
@@ -131,6 +127,8 @@ def place_anchors(
         Fewest and most anchors; after the fewest, only such that help are added.
     wanted : int
         Anchors that each position should see.
+    free : shapely.Polygon, optional
+        Where they may hang; by default the plan's main space.
 
     Returns
     -------
@@ -141,7 +139,7 @@ def place_anchors(
     InputError
         If there is no room for an anchor.
     """
-    free = _free(enclosed(start_m, end_m), start_m, end_m, thickness_m, whole=True)
+    free = main_space(start_m, end_m, thickness_m).free if free is None else free
     nodes, _ = _lattice(free)
     seen_from = track_m[:: max(1, len(track_m) // 60)]
     gap = np.linalg.norm(nodes[:, None] - seen_from, axis=-1).min(axis=1) if len(nodes) else np.zeros(0)
@@ -157,7 +155,7 @@ def place_anchors(
         gain = np.sum(seen & (count < wanted), axis=1).astype(np.float64)
         if len(chosen) >= least and (count >= 1).all():
             break
-        if len(chosen) >= least and gain.max() == 0:
+        if gain.max() == 0 and (len(chosen) >= least or chosen):
             break
         others = candidates[chosen] if chosen else seen_from
         spread = np.linalg.norm(candidates[:, None] - others, axis=-1).min(axis=1)
@@ -169,24 +167,12 @@ def place_anchors(
     return np.round(candidates[chosen], 3)
 
 
-def _free(
-    room: shapely.Geometry, start_m: Array, end_m: Array, thickness_m: Array, whole: bool = False
-) -> shapely.Geometry:
-    """The room less a clearance around its walls; its largest part unless the whole is wanted."""
-    walls = shapely.linestrings(np.stack([start_m, end_m], axis=1))
-    clearance = np.maximum(_CLEARANCE_M, 0.5 * thickness_m + _MARGIN_M)
-    free = shapely.difference(room, shapely.union_all(shapely.buffer(walls, clearance, quad_segs=4)))
-    parts = shapely.get_parts(free)
-    if whole or len(parts) < 2:
-        return free
-    return parts[int(np.argmax(shapely.area(parts)))]
-
-
 def _lattice(free: shapely.Geometry) -> tuple[Array, csr_array]:
     """Points of a lattice within an area, and the lengths of the links between neighbours."""
     if free.is_empty:
         return np.zeros((0, 2)), csr_array((0, 0))
-    pitch = float(np.clip(np.sqrt(free.area / _NODES), 0.1, 2.0))
+    pitch = float(np.clip(np.sqrt(free.area / _NODES), _FINEST_M, _COARSEST_M))
+    pitch = max(pitch, float(np.sqrt(free.area / _MOST_NODES)))
     left, bottom, right, top = free.bounds
     across = np.arange(left + _ORIGIN[0] * pitch, right, pitch)
     upward = np.arange(bottom + _ORIGIN[1] * pitch, top, pitch)
@@ -206,9 +192,39 @@ def _lattice(free: shapely.Geometry) -> tuple[Array, csr_array]:
     pairs = np.concatenate(links)
     clear = shapely.covers(free, shapely.linestrings(nodes[pairs])) if len(pairs) else np.zeros(0, bool)
     pairs = pairs[clear]
+    graph = _graph(nodes, pairs)
+    if connected_components(graph, directed=False)[0] > 1:  # a door fell between two points
+        nodes, pairs = _through_doors(free, nodes, pairs)
+        graph = _graph(nodes, pairs)
+    return nodes, graph
+
+
+def _graph(nodes: Array, pairs: NDArray[np.int64]) -> csr_array:
     length = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
     graph = csr_array((length, (pairs[:, 0], pairs[:, 1])), shape=(len(nodes), len(nodes)))
-    return nodes, graph + graph.T
+    return graph + graph.T
+
+
+def _through_doors(
+    free: shapely.Geometry, nodes: Array, pairs: NDArray[np.int64]
+) -> tuple[Array, NDArray[np.int64]]:
+    """More nodes and links, those of a triangulation, which joins whatever the area joins.
+
+    Each triangle links the midpoints of its sides with one another and with the nodes inside it.
+    """
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(free))
+    corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)
+    middles = 0.5 * (corners[:, :3] + corners[:, 1:])
+    places, inverse = np.unique(np.round(middles.reshape(-1, 2), 6), axis=0, return_inverse=True)
+    sides = len(nodes) + inverse.reshape(-1, 3)
+    node, triangle = shapely.STRtree(triangles).query(shapely.points(nodes), predicate="intersects")
+    links = [
+        pairs,
+        *(sides[:, [one, other]] for one, other in ((0, 1), (1, 2), (2, 0))),
+        *(np.column_stack([node, sides[triangle, side]]) for side in range(3)),
+    ]
+    found = np.unique(np.sort(np.concatenate(links), axis=1), axis=0)
+    return np.vstack([nodes, places]), found[found[:, 0] != found[:, 1]]
 
 
 def _explore(graph: csr_array, most_m: float) -> list[list[int]]:

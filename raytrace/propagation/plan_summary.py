@@ -10,12 +10,15 @@ import shapely
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
-from raytrace.plan.placement import enclosed
+from raytrace.plan.space import SpaceConfig, confined, spaces
 from raytrace.propagation.images import image_paths
 
 __all__ = ["floorplan_summary"]
 
-_SNAP_M = 1e-3
+# Ends that meet, and ends that were probably drawn to meet.
+_SNAP_M, _HAND_M = 1e-3, 0.1
+# A space below this share of the plan is hardly the one that was meant.
+_SMALL_SHARE = 0.1
 
 
 def floorplan_summary(plan: FloorPlan) -> dict[str, Any]:
@@ -25,7 +28,9 @@ def floorplan_summary(plan: FloorPlan) -> dict[str, Any]:
     -------
     dict
         ``name``, ``walls``, ``wall_length_m``, ``materials`` (walls of each),
-        ``area_m2``, ``anchors``, ``epochs``, ``track_m`` (length),
+        ``area_m2`` (what the walls confine, doors bridged), ``space`` (that of the agent: ``kind``
+        inside or outside, ``area_m2`` and its ``share``), ``repairs`` (what was changed in the walls
+        on loading), ``anchors``, ``epochs``, ``track_m`` (length),
         ``line_of_sight`` (share of the epochs at which each anchor is seen),
         ``surfaces``, ``sha256`` and ``warnings`` (texts); ``agents`` (names) and ``targets`` if
         there are several, or any.
@@ -34,14 +39,16 @@ def floorplan_summary(plan: FloorPlan) -> dict[str, Any]:
     track = plan.track()
     seen = image_paths(plan, depth=0).valid[:, :, 0].mean(axis=0)
     names = [anchor.name for anchor in plan.anchors]
-    room = enclosed(start, end)
+    place = _place(plan)
     lengths = np.linalg.norm(end - start, axis=1)
     return {
         "name": plan.name,
         "walls": len(plan.walls),
         "wall_length_m": round(float(lengths.sum()), 3),
         "materials": dict(Counter(wall.material for wall in plan.walls)),
-        "area_m2": round(float(room.area), 3),
+        "area_m2": round(float(confined(start, end).area), 3),
+        "space": place,
+        "repairs": plan.repairs.lines(),
         "surfaces": len(plan.surface_names),
         "anchors": len(names),
         "line_of_sight": {n: round(float(share), 3) for n, share in zip(names, seen, strict=True)},
@@ -50,40 +57,57 @@ def floorplan_summary(plan: FloorPlan) -> dict[str, Any]:
         **({"targets": len(plan.targets)} if plan.targets else {}),
         "track_m": round(float(np.linalg.norm(np.diff(track, axis=0), axis=1).sum()), 3),
         "sha256": plan.sha256(),
-        "warnings": [*_overlaps(plan), *_loose_ends(plan), *_unseen(names, seen), *_radio(plan)],
+        "warnings": [
+            *_small(place),
+            *_overlaps(plan),
+            *_loose_ends(plan),
+            *_unseen(names, seen),
+            *_radio(plan),
+        ],
     }
 
 
 def _overlaps(plan: FloorPlan) -> list[str]:
-    """Walls that lie on one another: which of them a ray meets is left to chance."""
-    start, end = plan.walls_m()
-    lines = shapely.linestrings(np.stack([start, end], axis=1))
-    tree = shapely.STRtree(lines)
-    found = []
-    for one, other in tree.query(lines, predicate="dwithin", distance=_SNAP_M).T:
-        if one < other:
-            shared = shapely.intersection(shapely.buffer(lines[one], _SNAP_M, cap_style="flat"), lines[other])
-            if shapely.length(shared) > 10 * _SNAP_M:
-                names = plan.walls[one].name, plan.walls[other].name
-                found.append(f"walls {names[0]!r} and {names[1]!r} lie on one another")
-    return found
+    """Walls that lay on one another: resolved, but worth mending where they were drawn."""
+    return [line.partition(":")[0] for line in plan.repairs.overlaps]
 
 
 def _loose_ends(plan: FloorPlan) -> list[str]:
     """Ends that stop short of a wall by less than a hand's breadth: probably drawn to touch it."""
-    start, end = plan.walls_m()
-    lines = shapely.linestrings(np.stack([start, end], axis=1))
+    ends = np.stack(plan.walls_m(), axis=1)
+    lines, points = shapely.linestrings(ends), shapely.points(ends.reshape(-1, 2))
+    point, wall = shapely.STRtree(lines).query(points, predicate="dwithin", distance=_HAND_M)
+    gap = shapely.distance(points[point], lines[wall])
+    gap[wall == point // 2] = np.inf
     found = []
-    for index, wall in enumerate(plan.walls):
-        for x, y in (wall.from_m, wall.to_m):
-            distance = shapely.distance(shapely.Point(x, y), lines)
-            distance[index] = np.inf
-            nearest = int(np.argmin(distance))
-            if _SNAP_M < distance[nearest] < 0.1:
-                found.append(
-                    f"wall {wall.name!r} ends {distance[nearest]:.3g} m from {plan.walls[nearest].name!r}"
-                )
+    for index in np.unique(point):
+        mine = np.flatnonzero(point == index)
+        nearest = mine[np.argmin(gap[mine])]
+        if _SNAP_M < gap[nearest] < _HAND_M:
+            names = plan.walls[index // 2].name, plan.walls[wall[nearest]].name
+            found.append(f"wall {names[0]!r} ends {gap[nearest]:.3g} m from {names[1]!r}")
     return found
+
+
+def _place(plan: FloorPlan) -> dict[str, Any]:
+    """The space in which the agent starts: inside or outside, its area and share of the plan."""
+    start, end = plan.walls_m()
+    thickness = np.array([wall.thickness_m for wall in plan.walls])
+    first = shapely.Point(plan.track()[0, :2])
+    found = spaces(start, end, thickness)
+    near = [space for space in found if shapely.distance(space.free, first) < SpaceConfig().clearance_m]
+    if not near:
+        return {"kind": "narrow" if found else "none", "area_m2": 0.0, "share": 0.0}
+    space = min(near, key=lambda space: float(shapely.distance(space.free, first)))
+    return {"kind": space.kind, "area_m2": round(space.area_m2, 1), "share": round(space.share, 3)}
+
+
+def _small(place: dict[str, Any]) -> list[str]:
+    """A space that is next to nothing of its plan is a closet, a shaft or a cavity."""
+    if place["share"] >= _SMALL_SHARE:
+        return []
+    area = f"{place['area_m2']:g} m2, {place['share']:.1%} of what the walls confine"
+    return [f"the agent starts in a space of {area}: a closet, a shaft, or rooms without doors?"]
 
 
 def _unseen(names: list[str], seen: np.ndarray[Any, np.dtype[np.float64]]) -> list[str]:

@@ -9,7 +9,7 @@ from estimator.geometry import rotate
 from raytrace.importers.collapse import collapse
 from raytrace.importers.drawing import ImportReport, Line
 from raytrace.importers.joins import join_ends
-from raytrace.plan.placement import enclosed
+from raytrace.plan.space import enclosed
 
 Points = list[tuple[float, float]]
 

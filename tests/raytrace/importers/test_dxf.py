@@ -280,10 +280,6 @@ MALFORMED: dict[str, tuple[Callable[[], bytes], str]] = {
     "blocks in each other": (lambda: altered(circular), "do not hold themselves"),
     "blocks to the power of six": (lambda: nested(6), "expected at most 20000 lines"),
     "copies": (lambda: altered(many_copies), "expected at most 200000 entities"),
-    "an open wall": (
-        lambda: only(lambda s: s.add_line((0, 0), (5, 0), dxfattribs=WALL)),
-        "expected walls that enclose a room",
-    ),
     "a room for mice": (
         lambda: only(lambda s: s.add_lwpolyline(box(0, 0, 0.7, 0.7), close=True, dxfattribs=WALL)),
         "expected space to walk",

@@ -150,7 +150,6 @@ MALFORMED: dict[str, tuple[Any, str]] = {
         "role: expected one of wall",
     ),
     "points alone": (collection(feature("Point", [1, 2])), "expected lines or polygons that are walls"),
-    "an open wall": (collection(feature("LineString", BAD_PROPERTY)), "enclose a room"),
     "nested without end": ('{"type": "GeometryCollection", "geometries": [' * 100_000, "expected JSON"),
     "Latin-1": ('{"type": "Tür"}'.encode("latin-1"), "expected UTF-8"),
 }

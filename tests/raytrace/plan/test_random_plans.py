@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.errors import ConfigurationError, InputError
+from estimator.errors import ConfigurationError
 from raytrace.plan.files import updated
-from raytrace.plan.placement import enclosed, place_anchors, plan_walk
+from raytrace.plan.placement import place_anchors, plan_walk
 from raytrace.plan.random_plans import KINDS, Kind, random_plan
 from raytrace.plan.trajectory import smoothed_track
 from raytrace.propagation.comparison import compare
@@ -111,11 +111,3 @@ def test_anchors_see_the_walk() -> None:
     inside = np.all((points[..., 0] <= 4) | (points[..., 1] <= 4), axis=0)
     assert inside.any(axis=0).all()
     assert np.mean(inside.sum(axis=0) >= 2) > 0.9
-
-
-def test_walls_that_enclose_nothing_are_refused() -> None:
-    """Three sides of a square are no room."""
-    corners = np.array([(0, 0), (5, 0), (5, 5), (0, 5)], dtype=float)
-    assert enclosed(corners, np.roll(corners, -1, axis=0)).area == pytest.approx(25.0)
-    with pytest.raises(InputError, match="expected walls that enclose a room"):
-        plan_walk(corners[:3], corners[1:], np.full(3, 0.1))
