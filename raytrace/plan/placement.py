@@ -202,7 +202,7 @@ def _lattice(free: shapely.Geometry) -> tuple[Array, csr_array]:
 def _graph(nodes: Array, pairs: NDArray[np.int64]) -> csr_array:
     length = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
     graph = csr_array((length, (pairs[:, 0], pairs[:, 1])), shape=(len(nodes), len(nodes)))
-    return graph + graph.T
+    return csr_array(graph + graph.T)
 
 
 def _through_doors(

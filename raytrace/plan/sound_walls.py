@@ -208,7 +208,7 @@ def _cut(wall: Wall, ends: Array, others: Array, names: set[str]) -> list[Wall]:
             for part in ((a, min(b, float(low))), (max(a, float(high)), b))
             if part[1] - part[0] > _SNAP_M
         ]
-    pieces = []
+    pieces: list[Wall] = []
     for low, high in left:
         tips = [ends[0] + at / length * along for at in (low, high)]
         tips = [ends[0] if low == 0.0 else tips[0], ends[1] if high == length else tips[1]]

@@ -9,11 +9,15 @@ before; this module imports the ray tracer when its functions run.
 Specular paths are looked for in a scene that is stretched upwards until it is as high as it is wide.
 Mirrors that stand or lie send an image the same way in both, so every path has its counterpart, with
 bounces on the same surfaces; but of rays shot in all directions many times as many meet the walls.
+
+The tracer is single precision: at a kilometre from its origin it knows a wall to a tenth of a
+millimetre, at UTM's distances to half a metre. So the scene is the plan moved near the origin
+(:attr:`RadioScene.origin_m`); paths are the same wherever a plan lies.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -28,6 +32,8 @@ from raytrace.propagation.paths import NO_SURFACE
 __all__ = ["RadioScene", "build_scene"]
 
 _TRIANGLES = ((0, 1, 2), (0, 2, 3))
+# Origins are multiples of a power of two, so that moving a plan loses no bit, and those near 0 stay.
+_ORIGIN_GRID_M = 256.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +53,8 @@ class RadioScene:
         ``FloorPlan.surface_names``) of every pair of triangles.
     stretch : float
         Heights in the scene over those in the plan.
+    origin_m : ndarray, shape (3,)
+        Point of the plan that is the scene's origin, metres.
     """
 
     plan: FloorPlan
@@ -54,6 +62,11 @@ class RadioScene:
     carrier_hz: float
     surfaces_by_object: dict[int, NDArray[np.int16]]
     stretch: float = 1.0
+    origin_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+
+    def placed(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of the plan, shape (..., 3), in the scene."""
+        return np.asarray((points_m - self.origin_m) * np.array([1.0, 1.0, self.stretch]))
 
     @cached_property
     def tall(self) -> RadioScene:
@@ -84,7 +97,8 @@ def build_scene(plan: FloorPlan, carrier_hz: float, stretch: float = 1.0) -> Rad
     import mitsuba as mi
     import sionna.rt as rt
 
-    corners = surfaces_of(plan).corners() * np.array([1.0, 1.0, stretch])
+    origin = _origin(plan)
+    corners = (surfaces_of(plan).corners() - origin) * np.array([1.0, 1.0, stretch])
     groups: dict[tuple[str, float], list[int]] = {}
     for index, slab in enumerate(plan.surface_slabs):
         groups.setdefault((slab.material, slab.thickness_m), []).append(index)
@@ -108,7 +122,14 @@ def build_scene(plan: FloorPlan, carrier_hz: float, stretch: float = 1.0) -> Rad
         scene.objects[f"slab-{number}"].object_id: np.array(members, dtype=np.int16)
         for number, members in enumerate(groups.values())
     }
-    return RadioScene(plan, scene, carrier_hz, members_of, stretch)
+    return RadioScene(plan, scene, carrier_hz, members_of, stretch, origin)
+
+
+def _origin(plan: FloorPlan) -> NDArray[np.float64]:
+    """The point of the grid of origins next to the middle of the walls, shape (3,)."""
+    ends = np.vstack(plan.walls_m())
+    middle = 0.5 * (ends.min(axis=0) + ends.max(axis=0))
+    return np.array([*(_ORIGIN_GRID_M * np.round(middle / _ORIGIN_GRID_M)), 0.0])
 
 
 def _material(plan: FloorPlan, slab: Wall | Slab, number: int) -> Any:

@@ -78,11 +78,10 @@ def solve(
         In no particular order. In a stretched scene delays, directions and gains are those of the
         stretched paths; surfaces are the same.
     """
-    upwards = np.array([1.0, 1.0, radio.stretch])
     paths = _sionna_paths(
         radio,
-        source_m * upwards,
-        targets_m * upwards,
+        radio.placed(source_m),
+        radio.placed(targets_m),
         depth,
         samples,
         los,

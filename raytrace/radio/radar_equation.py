@@ -93,7 +93,7 @@ def horizontal_hits(
     import mitsuba as mi
 
     towards = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad), np.zeros_like(azimuth_rad)])
-    origin = np.broadcast_to(np.asarray(place_m)[:, None], towards.shape)
+    origin = np.broadcast_to(radio.placed(np.asarray(place_m))[:, None], towards.shape)
     rays = mi.Ray3f(
         mi.Point3f(*(mi.Float(row.astype(np.float32)) for row in origin)),
         mi.Vector3f(*(mi.Float(row.astype(np.float32)) for row in towards)),
