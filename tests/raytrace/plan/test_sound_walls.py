@@ -21,7 +21,7 @@ def spans(walls: tuple[Wall, ...]) -> dict[str, tuple[tuple[float, float], tuple
 
 
 def test_sound_walls_keep_their_bits() -> None:
-    """Corners, T-joints and crossings that are right keep their bits, near the origin and at UTM's distance."""
+    """Corners and T-joints that are right keep their bits, near the origin and at UTM's distance."""
     for x in (0.0, 500_000.0):
         walls = [
             wall("a", (x, 0.1), (x + 20.3, 7.7)),

@@ -25,7 +25,7 @@ def room(dx: float, dy: float) -> FloorPlan:
         return [dx + x, dy + y]
 
     corners = [(0, 0), (20, 0), (20, 12), (0, 12)]
-    ends = [*zip(corners, corners[1:] + corners[:1], strict=True), ((7, 0), (7, 6.5))]
+    ends = [*zip(corners, corners[1:] + corners[:1], strict=True), ((7, 0), (7, 4.5))]
     data: dict[str, Any] = {
         "format": "hapslam-floorplan",
         "version": 1,
@@ -70,11 +70,11 @@ def test_paths_are_the_same_whatever_the_offset(
 def test_rays_of_the_radar_equation_start_where_the_agent_is() -> None:
     """Distances to the walls in four directions, at UTM's coordinates."""
     plan = room(500_000.0, 5_400_000.0)
-    place = np.array([500_010.0, 5_400_006.0, 1.5])
+    place = np.array([500_010.0, 5_400_004.0, 1.5])
     distance, cosine = horizontal_hits(
         build_scene(plan, plan.echo.carrier_hz), place, np.array([0.0, 0.5, 1.0, 1.5]) * np.pi
     )
-    np.testing.assert_allclose(distance, [10.0, 6.0, 3.0, 6.0], atol=1e-4)
+    np.testing.assert_allclose(distance, [10.0, 8.0, 3.0, 4.0], atol=1e-4)
     np.testing.assert_allclose(cosine, 1.0, atol=1e-5)
 
 
