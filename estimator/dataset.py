@@ -22,13 +22,13 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import xarray as xr
+from typing import TYPE_CHECKING, Any
 
 from estimator.errors import FileFormatError, OutputExistsError
-from estimator.hdf5_guard import check_hdf5
 from estimator.json_objects import json_object
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = [
     "Dataset",
@@ -133,6 +133,10 @@ def read_netcdf(path: Path, format_name: str, version: int) -> xr.Dataset:
     path = Path(path)
     if not path.is_file():
         raise FileFormatError(f"{path}: expected a {format_name} file, found nothing there")
+    import xarray as xr
+
+    from estimator.hdf5_guard import check_hdf5
+
     check_hdf5(path)
     try:
         with xr.open_dataset(path, engine="h5netcdf") as data:

@@ -11,10 +11,9 @@ Only this module and :mod:`estimator.plots` open the truth of a dataset.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import ConfigurationError, InputError
@@ -30,6 +29,9 @@ from estimator.metrics import (
     root_mean_square_error,
 )
 from estimator.result import SlamResult
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = ["EvaluationConfig", "Surface", "Truth", "evaluate", "read_truth"]
 

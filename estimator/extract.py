@@ -13,10 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from estimator.arrays import AntennaArray, BeamSet, UniformLinearArray, UniformPlanarArray
@@ -28,6 +27,9 @@ from estimator.sensing.beam_ranges import walls_of_beams
 from estimator.sensing.flash import FlashConfig, find_flashes, flash_walls
 from estimator.threads import one_blas_thread
 from estimator.waveform import OfdmGrid, frequency_response
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = ["ExtractConfig", "Progress", "extract", "extract_epochs", "paths_of", "sense_walls"]
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from estimator.dataset import read_netcdf, write_netcdf
@@ -254,6 +253,8 @@ def save_measurements(measurements: MeasurementSet, path: Path) -> None:
     known = {}
     if measurements.known_anchors_m is not None:
         known["known_anchor_m"] = (("anchor", "xy"), measurements.known_anchors_m, {"units": "m"})
+    import xarray as xr
+
     data = xr.Dataset(
         {
             **known,

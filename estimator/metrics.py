@@ -198,11 +198,11 @@ def nees_band(dimensions: int, samples: int = 1, probability: float = 0.95) -> t
     tuple of float
         Quantiles of chi-square with ``n * samples`` degrees of freedom, divided by them.
     """
-    from scipy.stats import chi2
+    from scipy.special import gammainccinv, gammaincinv
 
-    freedom = dimensions * samples
+    half = 0.5 * dimensions * samples  # a quantile of chi-square is twice one of the gamma distribution
     tail = 0.5 * (1.0 - probability)
-    return float(chi2.ppf(tail, freedom) / freedom), float(chi2.isf(tail, freedom) / freedom)
+    return float(gammaincinv(half, tail) / half), float(gammainccinv(half, tail) / half)
 
 
 def match(estimate: ArrayLike, truth: ArrayLike, gate_m: float) -> list[tuple[int, int]]:

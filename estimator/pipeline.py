@@ -16,18 +16,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any
-
-import xarray as xr
+from typing import TYPE_CHECKING, Any
 
 from estimator.dataset import open_dataset, require_absent, write_text
 from estimator.errors import FileFormatError
-from estimator.evaluation import EvaluationConfig, evaluate
-from estimator.extract import extract
 from estimator.json_objects import json_object
 from estimator.measurements import load_measurements, save_measurements
 from estimator.result import SlamResult, load_result, save_result
-from estimator.slam import run_slam
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from estimator.evaluation import EvaluationConfig
 
 __all__ = ["evaluate_file", "extract_file", "find_truth", "plot_file", "run_record", "slam_file"]
 
@@ -55,6 +55,8 @@ def extract_file(dataset: Path, out: Path, progress: Progress | None = None) -> 
     FileFormatError
         If the dataset is missing, incomplete or damaged.
     """
+    from estimator.extract import extract
+
     require_absent(out)
     measurements = extract(open_dataset(dataset), progress=progress)
     save_measurements(replace(measurements, dataset=_relative(dataset, out)), out)
@@ -91,6 +93,8 @@ def slam_file(
     FileFormatError, InputError, ConfigurationError
         If the measurements cannot be read or used, or the method or engine is unknown.
     """
+    from estimator.slam import run_slam
+
     require_absent(out)
     loaded = load_measurements(measurements)
     begin = time.perf_counter()
@@ -132,6 +136,8 @@ def evaluate_file(
     InputError
         If the truth is that of another dataset.
     """
+    from estimator.evaluation import evaluate
+
     loaded = load_result(result)
     return evaluate(
         loaded, find_truth(result, loaded, truth), config, run_record(result).get("seconds_per_epoch")

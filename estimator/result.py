@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from estimator.dataset import read_netcdf, write_netcdf
@@ -146,6 +145,8 @@ def save_result(result: SlamResult, path: Path) -> None:
         "dataset": result.dataset or "",
         "frame": "origin: agent's start (RP); axes: the agent's arrays at the start; metres",
     }
+    import xarray as xr
+
     data = xr.Dataset(variables, coords={"anchor": ("anchor", list(result.anchors))}, attrs=attributes)
     write_netcdf(data, path)
 

@@ -8,11 +8,11 @@ Another kind of processor may still round differently.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 
-import scipy.linalg
 from threadpoolctl import ThreadpoolController
 
 __all__ = ["one_blas_thread"]
@@ -21,12 +21,11 @@ __all__ = ["one_blas_thread"]
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Within this context, or the function it decorates, BLAS and LAPACK use one thread in this process."""
-    with _libraries().limit(limits=1, user_api="blas"):
+    with _libraries("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas"):
         yield
 
 
 @cache
-def _libraries() -> ThreadpoolController:
-    """NumPy's and SciPy's BLAS; both are loaded by now, and looking for them takes a millisecond."""
-    assert scipy.linalg is not None
+def _libraries(with_scipy: bool) -> ThreadpoolController:
+    """NumPy's BLAS and, once it is loaded, SciPy's, a library of its own; looking takes a millisecond."""
     return ThreadpoolController()

@@ -8,13 +8,15 @@ shards, and of it the variables that are wanted.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from estimator.dataset import Dataset
 from estimator.errors import FileFormatError, InputError
-from estimator.hdf5_guard import check_hdf5
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = ["read_window"]
 
@@ -57,6 +59,10 @@ def read_window(
     total = int(dataset.manifest["epochs"])
     if not 0 <= first < stop <= total:
         raise InputError(f"epochs: expected 0 <= first < stop <= {total}, got first {first}, stop {stop}")
+    import xarray as xr
+
+    from estimator.hdf5_guard import check_hdf5
+
     parts = []
     for entry in dataset.manifest["shards"]:
         if entry["kind"] != kind:
@@ -83,6 +89,8 @@ def read_window(
 
 def _joined(parts: list[xr.Dataset]) -> xr.Dataset:
     """Successive epochs as one dataset; channels with fewer paths are filled up."""
+    import xarray as xr
+
     paths = max((part.sizes.get("path", 0) for part in parts), default=0)
     filled = [
         part.pad(

@@ -15,7 +15,6 @@ import json
 import shlex
 import sys
 from collections.abc import Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -62,6 +61,8 @@ def _examples(*lines: str) -> str:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from importlib import metadata
+
         print_line(f"hapslam {metadata.version('hapslam')}")
         raise typer.Exit
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 __all__ = ["Advance", "Reporter"]
 
@@ -39,6 +38,8 @@ class Reporter:
     @contextmanager
     def stage(self, name: str) -> Iterator[Advance]:
         """Run a stage; the callable takes (done, total) and at will a text of what comes next."""
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
         begin = time.perf_counter()
         live = self._console.is_terminal and not self._console.quiet
         columns = (

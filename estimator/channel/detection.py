@@ -21,7 +21,6 @@ sees at most what the continuum holds.
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import gammaincc, gammaln
 
 from estimator.errors import ConfigurationError, InputError
@@ -116,6 +115,8 @@ def detection_threshold(false_alarm: float, *lengths: float, snapshots: int = 1)
 
     def excess(threshold: float) -> float:
         return _log_excursions(threshold, lengths, snapshots) - float(target)
+
+    from scipy.optimize import brentq
 
     level: float = brentq(excess, least, most, xtol=1e-10)
     return level

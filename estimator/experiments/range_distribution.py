@@ -8,7 +8,6 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.stats import kstest, norm
 
 from estimator.experiments.catalogue import Entry, Request
 from estimator.experiments.ranging import PAPER_GRID, range_errors
@@ -66,6 +65,8 @@ def reproduce(name: str, entry: Entry, request: Request) -> Report:
 
 
 def _describe(errors: Array, std: float) -> dict[str, Any]:
+    from scipy.stats import kstest, norm
+
     near = errors[np.abs(errors) < _OUTLIER_SIGMAS * std]
     bias, bias_se = mean_of(near)
     spread = float(near.std(ddof=1)) if near.size > 1 else None
@@ -86,6 +87,8 @@ def _finite(values: Array) -> list[float | None]:
 
 
 def _picture(errors: dict[float, Array], std: float) -> Figure:
+    from scipy.stats import norm
+
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(8.6, 3.6), dpi=150, facecolor="white", layout="constrained")
         for axes, (distance, values) in zip(figure.subplots(1, len(errors)), errors.items(), strict=True):

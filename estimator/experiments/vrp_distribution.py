@@ -9,7 +9,6 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from estimator.experiments.catalogue import Entry, Request
 from estimator.experiments.ranging import PAPER_GRID
@@ -167,6 +166,8 @@ def _rows(wall: _Wall, numbers: dict[str, Any]) -> list[Row]:
 
 def _picture(estimates: dict[str, Array], summary: dict[str, Any]) -> Figure:
     """A column for each wall, x above y: histograms of both estimators, and what is claimed."""
+    from scipy.stats import norm
+
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.0, 5.4), dpi=150, facecolor="white", layout="constrained")
         for column, (key, found) in zip(figure.subplots(2, len(estimates)).T, estimates.items(), strict=True):

@@ -26,7 +26,6 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
 
 from estimator.errors import ConfigurationError, InputError
 from estimator.measurements import GaussianVrp
@@ -277,7 +276,7 @@ class _Sweep:
                 continue
             gap = foot - corner[0]
             total = spread + corner[1] + config.corner_std_m**2 * np.eye(2)
-            if gap @ np.linalg.solve(total, gap) < chi2.ppf(config.corner_confidence, 2):
+            if gap @ np.linalg.solve(total, gap) < -2.0 * np.log1p(-config.corner_confidence):
                 return True
         return False
 

@@ -75,6 +75,24 @@ def test_importing_the_package_is_free() -> None:
 
 
 @pytest.mark.parametrize(
+    ("module", "absent"),
+    [
+        ("service.cli", {"numpy", "rich.progress"}),
+        ("estimator.executors", {"numpy"}),
+        ("estimator.pipeline", {"numba", "xarray", "matplotlib", "scipy"}),
+        ("estimator.slam", {"xarray", "matplotlib", "scipy.linalg", "scipy.optimize", "scipy.stats"}),
+        ("estimator.experiments.runs", {"xarray", "matplotlib", "scipy.optimize", "scipy.stats"}),
+    ],
+)
+def test_heavy_libraries_are_imported_where_they_are_used(module: str, absent: set[str]) -> None:
+    """Help, workers and evaluation start fast: what one stage alone needs is loaded with that stage."""
+    command = [sys.executable, "-c", f"import {module}, sys; print(*({absent} & set(sys.modules)))"]
+    root = Path(estimator.__file__).parents[1]
+    done = subprocess.run(command, check=True, timeout=60, cwd=root, capture_output=True, text=True)
+    assert done.stdout.strip() == ""
+
+
+@pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda: AnchorPaths([1e-7], [-1e-10]), "delay_std_s: expected positive numbers, got -1e-10"),

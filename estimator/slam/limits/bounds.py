@@ -22,7 +22,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import erf
 
 from estimator.errors import ConfigurationError, InputError
 from estimator.slam.layout import Layout
@@ -129,6 +128,8 @@ def expected_distance(covariance: ArrayLike, cutoff: float = np.inf) -> Array:
     scale = np.hypot(axes[..., :1] * np.cos(angle), axes[..., 1:] * np.sin(angle))
     if not np.isfinite(cutoff):
         return np.asarray(np.sqrt(0.5 * np.pi) * scale.mean(axis=-1))
+    from scipy.special import erf
+
     # E min(s r, c) = s sqrt(pi / 2) erf(c / (s sqrt 2)) for Rayleigh r
     safe = np.maximum(scale, 1e-300)
     return np.asarray(np.mean(np.sqrt(0.5 * np.pi) * scale * erf(cutoff / (safe * np.sqrt(2.0))), axis=-1))

@@ -13,7 +13,6 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import rotation_matrix
@@ -125,6 +124,8 @@ def _start(
     measurements: MeasurementSet, result: SlamResult, model: GaussianConfig
 ) -> tuple[Problem, Trajectory, NDArray[np.int64]]:
     """A problem without factors, where its result has everything, and the walls' identities by slot."""
+    from scipy.optimize import linear_sum_assignment
+
     found = np.flatnonzero(result.wall_valid[-1])
     vrps = result.wall_mean_m[-1, found]
     sensed: dict[int, GaussianVrp] = {}
