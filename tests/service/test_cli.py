@@ -58,7 +58,7 @@ def test_help_lists_the_commands(main: Runner) -> None:
 
 def test_version(main: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     """The version is that of the distribution."""
-    monkeypatch.setattr(cli.metadata, "version", lambda name: f"1.2.3 of {name}")
+    monkeypatch.setattr("importlib.metadata.version", lambda name: f"1.2.3 of {name}")
     run = main("--version")
     assert (run.status, run.out) == (0, "hapslam 1.2.3 of hapslam\n")
 
