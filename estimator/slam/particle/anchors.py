@@ -24,7 +24,7 @@ from estimator.slam.gaussian.paths import stack_paths
 from estimator.slam.gaussian.start import state_of
 from estimator.slam.gaussian.state import NOWHERE_M, GaussianState, Rows
 from estimator.slam.layout import Layout
-from estimator.slam.particle.cloud import Cloud, gaussian_cloud, moments_of, systematic
+from estimator.slam.particle.cloud import Cloud, gaussian_cloud, moments_of, normals, systematic
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.particle.found import found_walls
 from estimator.slam.particle.state import ParticleState
@@ -91,12 +91,13 @@ def start_anchors(
     if not new:
         return state
     drawn = _mixture(rows.keep(np.all(rows.located == likeliest, axis=1)), config.particles, rng)
-    anchors, features, layout = state.anchors_m.copy(), state.features.copy(), joint.layout
+    anchors, points, layout = list(state.anchors_m), list(state.features.points_m), joint.layout
     for k in new:
         anchors[k] = _untied(drawn[layout.anchor_xy(k)], rng)
     for slot, j in enumerate(walls):
-        features.points_m[j] = _untied(drawn[layout.wall(slot)], rng)
-    return replace(state, anchors_m=anchors, located=likeliest.copy(), features=features)
+        points[j] = _untied(drawn[layout.wall(slot)], rng)
+    features = replace(state.features, points_m=tuple(points))
+    return replace(state, anchors_m=tuple(anchors), located=likeliest.copy(), features=features)
 
 
 def ring_anchors(state: ParticleState, config: ParticleConfig, rng: np.random.Generator) -> ParticleState:
@@ -115,7 +116,7 @@ def ring_anchors(state: ParticleState, config: ParticleConfig, rng: np.random.Ge
     rng : Generator
         Source of randomness.
     """
-    anchors, located = state.anchors_m.copy(), state.located.copy()
+    anchors, located = list(state.anchors_m), state.located.copy()
     for k in np.flatnonzero(~state.located):
         mine = state.past[state.past[:, 4] == k]
         epochs = np.unique(mine[:, 0])
@@ -132,12 +133,13 @@ def ring_anchors(state: ParticleState, config: ParticleConfig, rng: np.random.Ge
             continue
         shortest = lasting[np.argmin(lasting[:, 5])]
         std = np.sqrt(shortest[6] ** 2 + shortest[3])
-        radius = shortest[5] + std * rng.standard_normal(config.particles)
+        radius = shortest[5] + std * normals(config.particles, rng)
         radius = np.sqrt(np.maximum(radius**2 - config.height2_mean_m2, 0.0))
         turn = 2.0 * np.pi * rng.random(config.particles if located.any() else 1)
-        anchors[k] = shortest[1:3, None] + radius * np.stack([np.cos(turn), np.sin(turn)])
+        ring = shortest[1:3, None] + radius * np.stack([np.cos(turn), np.sin(turn)])
+        anchors[k] = ring.astype(np.float32)
         located[k] = True
-    return replace(state, anchors_m=anchors, located=located)
+    return replace(state, anchors_m=tuple(anchors), located=located)
 
 
 def _joint(

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.slam.particle.cloud import Cloud, moments_of, systematic
+from estimator.compiled import compiled
+from estimator.slam.particle.cloud import Cloud, normals, systematic, total_variance
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.particle.state import Features
 
 __all__ = ["born_features", "merged", "new_odds", "pruned", "vrp_between"]
 
 Array = NDArray[np.float64]
+_SMALLEST = np.float32(1e-6)  # squared distance of anchor and virtual anchor, keeps the VRP finite
 _NEAREST_M = 0.5  # VRPs closer to RP than this would be walls on top of the agent
 
 
@@ -32,11 +36,29 @@ def new_odds(length_m: Array, config: ParticleConfig) -> Array:
 
 
 def vrp_between(anchor: Cloud, virtual: Cloud) -> Cloud:
-    """VRPs (..., 2, N) of the walls half-way between anchors and virtual anchors, (3), RP at 0."""
-    normal = virtual - anchor
-    square = normal[..., 0, :] ** 2 + normal[..., 1, :] ** 2
-    rise = np.sum(virtual * virtual, axis=-2) - np.sum(anchor * anchor, axis=-2)
-    return np.asarray((rise / np.maximum(square, np.float32(1e-6)))[..., None, :] * normal)
+    """VRPs (2, N) of the walls half-way between anchors and virtual anchors (2, N), (3), RP at 0."""
+    vrp = np.empty_like(virtual)
+    _half_way(anchor, virtual, vrp)
+    return vrp
+
+
+@compiled
+def _half_way(anchor: Cloud, virtual: Cloud, vrp: Cloud) -> None:
+    """Fill in the VRPs, (3) in single precision; ``vrp`` may be ``virtual``."""
+    for n in range(virtual.shape[1]):
+        x, y, u, v = anchor[0, n], anchor[1, n], virtual[0, n], virtual[1, n]
+        p, q = u - x, v - y
+        scale = (u * u + v * v - (x * x + y * y)) / max(p * p + q * q, _SMALLEST)
+        vrp[0, n], vrp[1, n] = scale * p, scale * q
+
+
+@compiled
+def _ring(agent: Cloud, radius: NDArray[np.float32], height2: np.float32, points: Cloud) -> None:
+    """Move ``points``, unit vectors, to lengths ``radius`` (in space) from the agent."""
+    for n in range(radius.size):
+        level = np.sqrt(max(radius[n] * radius[n] - height2, np.float32(0.0)))
+        points[0, n] = agent[0, n] + level * points[0, n]
+        points[1, n] = agent[1, n] + level * points[1, n]
 
 
 def born_features(
@@ -80,20 +102,10 @@ def born_features(
     Features
     """
     chosen = np.flatnonzero(unexplained > config.detect_threshold)
-    length, std = (values[chosen, None].astype(np.float32) for values in paths)
     odds = new_odds(paths[0][chosen], config)
-    shape = (len(chosen), agent.shape[1])
-    radius = length + std * rng.standard_normal(shape, dtype=np.float32)
-    radius = np.sqrt(np.maximum(radius * radius - np.float32(config.height2_mean_m2), 0.0))
-    bearing = np.float32(2.0 * np.pi) * rng.random(shape, dtype=np.float32)
-    points = agent + radius[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-    if owner < 0:
-        points = vrp_between(anchor, points)
-        for cloud in points:
-            usable = np.hypot(*cloud) > _NEAREST_M
-            if not usable.all():
-                with np.errstate(divide="ignore"):
-                    cloud[...] = cloud[:, systematic(np.log(usable.astype(np.float32)), rng)]
+    points = tuple(
+        _on_circle(agent, anchor, owner < 0, paths[0][m], paths[1][m], config, rng) for m in chosen.tolist()
+    )
     return Features(
         points,
         unexplained[chosen] * odds / (1.0 + odds),
@@ -102,6 +114,35 @@ def born_features(
         ids[0] + np.arange(len(chosen)),
         np.full(len(chosen), ids[1], dtype=np.int64),
     )
+
+
+def _on_circle(
+    agent: Cloud,
+    anchor: Cloud,
+    wall: bool,
+    length_m: float,
+    std_m: float,
+    config: ParticleConfig,
+    rng: np.random.Generator,
+) -> Cloud:
+    """Virtual anchors on the circle of a path round the agent, or the walls half-way to them."""
+    count = agent.shape[1]
+    radius = normals(count, rng)
+    radius *= np.float32(std_m)
+    radius += np.float32(length_m)
+    bearing = np.float32(2.0 * np.pi) * rng.random(count, dtype=np.float32)
+    points = np.empty((2, count), np.float32)
+    np.cos(bearing, out=points[0])
+    np.sin(bearing, out=points[1])
+    _ring(agent, radius, np.float32(config.height2_mean_m2), points)
+    if not wall:
+        return points
+    _half_way(anchor, points, points)
+    square = points[0] * points[0] + points[1] * points[1]
+    if square.min() > _NEAREST_M**2:
+        return points
+    with np.errstate(divide="ignore"):
+        return points[:, systematic(np.log((square > _NEAREST_M**2).astype(np.float32)), rng)]
 
 
 def merged(features: Features, config: ParticleConfig) -> Features:
@@ -114,26 +155,26 @@ def merged(features: Features, config: ParticleConfig) -> Features:
     count = len(features)
     if count < 2:
         return features
-    moments = [moments_of(cloud) for cloud in features.points_m]
-    mean = np.array([m for m, _ in moments])
-    variance = np.array([np.trace(c) for _, c in moments])
+    moments = [total_variance(cloud) for cloud in features.points_m]
+    mean = np.array([place for place, _ in moments])
+    variance = np.array([spread for _, spread in moments])
     sharp = variance < config.similarity_m**2
     same = np.linalg.norm(mean[:, None] - mean, axis=-1) < config.similarity_m
     same &= (features.owner[:, None] == features.owner) & sharp[:, None] & sharp
     if same.sum() == sharp.sum():
         return features
-    features = features.copy()
-    keep = np.ones(count, dtype=bool)
+    keep, points = np.ones(count, dtype=bool), list(features.points_m)
+    existence, visibility = features.existence.copy(), features.visibility.copy()
     for i in range(count):
         for j in (np.flatnonzero(same[i, i + 1 :]) + i + 1).tolist():
             if keep[i] and keep[j]:
                 keep[j] = False
                 if variance[j] < variance[i]:
-                    features.points_m[i], variance[i] = features.points_m[j], variance[j]
-                none = (1.0 - features.existence[i]) * (1.0 - features.existence[j])
-                features.existence[i] = 1.0 - none
-                features.visibility[i] = np.maximum(features.visibility[i], features.visibility[j])
-    return features.take(keep)
+                    points[i], variance[i] = points[j], variance[j]
+                existence[i] = 1.0 - (1.0 - existence[i]) * (1.0 - existence[j])
+                visibility[i] = np.maximum(visibility[i], visibility[j])
+    one = replace(features, points_m=tuple(points), existence=existence, visibility=visibility)
+    return one.take(keep)
 
 
 def pruned(features: Features, epoch: int, config: ParticleConfig) -> Features:

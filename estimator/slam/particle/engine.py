@@ -86,7 +86,7 @@ class ParticleEngine:
                 f"{self.method.name} SLAM: expected at least one wall sensed at the start, got none"
             )
         agent = np.diag([config.start_std_m**2] * 2 + [config.velocity_std_m_s**2] * 2)
-        anchors = np.zeros((count, 2, config.particles), np.float32)
+        anchors = [np.zeros((2, config.particles), np.float32)] * count
         known = self.method.anchors == "known"
         if known:
             if prior.anchors_m is None:
@@ -108,11 +108,11 @@ class ParticleEngine:
             log_evidence=0.0,
             next_wall_id=size,
             agent=gaussian_cloud(np.zeros(4), agent, config.particles, rng),
-            anchors_m=anchors,
+            anchors_m=tuple(anchors),
             located=np.full(count, known),
             sight=np.full(count, config.start_visibility),
             features=Features(
-                np.array(clouds, dtype=np.float32).reshape(size, 2, config.particles),
+                tuple(clouds),
                 np.full(size, config.survival_probability),
                 np.full((size, count), config.start_visibility),
                 np.full(size, -1, dtype=np.int64),

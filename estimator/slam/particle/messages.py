@@ -2,7 +2,9 @@
 
 The factor of a path couples three nodes, agent ``u``, anchor ``a`` and wall ``v`` (or two,
 for the line of sight and for virtual anchors). Its messages are integrals over the other
-nodes, estimated by pairing particles of equal index.
+nodes, estimated by pairing particles (:mod:`estimator.slam.particle.pairings` has the loops).
+Likelihoods are computed twice, for the association and for the messages that it decides, so that memory
+does not grow with the paths: beside the messages it is pairings x N numbers of four bytes.
 """
 
 from __future__ import annotations
@@ -15,8 +17,16 @@ from numpy.typing import NDArray
 from estimator.slam.association import associate
 from estimator.slam.particle.cloud import Cloud
 from estimator.slam.particle.config import ParticleConfig
+from estimator.slam.particle.pairings import (
+    SIGHT,
+    VIRTUAL,
+    WALL,
+    likelihood_sum,
+    paired_lengths,
+    paired_weights,
+)
 
-__all__ = ["Messages", "Nodes", "exchange", "images"]
+__all__ = ["Messages", "Nodes", "exchange"]
 
 Array = NDArray[np.float64]
 
@@ -31,20 +41,23 @@ class Nodes:
         Positions.
     anchor : ndarray of float32, shape (2, N)
         The anchor.
-    points : ndarray of float32, shape (L, 2, N)
-        VRPs if ``shared``, virtual anchors of this anchor otherwise.
+    points : tuple of ndarray of float32, shape (2, N)
+        Of each feature: VRPs if ``shared``, virtual anchors of this anchor otherwise.
     shared : bool
         Whether features are walls, common to all anchors.
     existence, visibility : ndarray, shape (F,)
         Probabilities that the feature exists and that this anchor can be heard over it.
+    fixed : bool
+        Whether the anchor is known: then nothing is told to it.
     """
 
     agent: Cloud
     anchor: Cloud
-    points: Cloud
+    points: tuple[Cloud, ...]
     shared: bool
     existence: Array
     visibility: Array
+    fixed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +67,9 @@ class Messages:
     Parameters
     ----------
     agent, anchor : ndarray of float32, shape (N,)
-        Log weights of the agent's and the anchor's particles.
-    points : ndarray of float32, shape (L, N)
-        Log weights of the features' particles.
+        Log weights of the agent's and the anchor's particles; empty of an anchor that is known.
+    points : tuple of ndarray of float32, shape (N,), or None
+        Log weights of the features' particles; None where no path is in the gate.
     existence, visibility : ndarray, shape (F,)
         Posterior probabilities.
     unexplained : ndarray, shape (M,)
@@ -67,19 +80,11 @@ class Messages:
 
     agent: NDArray[np.float32]
     anchor: NDArray[np.float32]
-    points: NDArray[np.float32]
+    points: tuple[NDArray[np.float32] | None, ...]
     existence: Array
     visibility: Array
     unexplained: Array
     log_evidence: float
-
-
-def images(anchor: Cloud, vrp: Cloud) -> Cloud:
-    """Virtual anchors (2): mirror images of anchors (..., 2, N) in walls (..., 2, N), RP at 0."""
-    square = vrp[..., 0, :] ** 2 + vrp[..., 1, :] ** 2
-    along = anchor[..., 0, :] * vrp[..., 0, :] + anchor[..., 1, :] * vrp[..., 1, :]
-    scale = 1.0 - 2.0 * along / np.maximum(square, np.float32(1e-6))
-    return np.asarray(anchor + scale[..., None, :] * vrp)
 
 
 def exchange(
@@ -112,70 +117,60 @@ def exchange(
     particles = nodes.agent.shape[1]
     shifts = np.zeros((config.pairings, 2), dtype=np.int64)  # of anchor and features
     shifts[1:] = rng.integers(particles, size=(config.pairings - 1, 2))
-    likelihood = _likelihoods(nodes, shifts, length_m, std_m, config)
+    height2 = np.float32(config.height2_mean_m2)
+    path_m, scale = length_m.astype(np.float32), (np.sqrt(0.5) / std_m).astype(np.float32)
+    margin = config.gate_sigma * std_m
+    peak = 1.0 / (np.sqrt(2.0 * np.pi) * std_m * config.clutter_density)  # largest ratio of path over clutter
 
     # (45), integrated over all nodes: beta(a = m) over beta(a = 0) of each feature
-    features = len(nodes.existence)
+    features, gate = len(nodes.existence), []
+    likelihood = np.zeros((features, len(length_m)))
+    lengths = np.empty((config.pairings, particles), np.float32)
+    for f in range(features):
+        least, most = paired_lengths(*_of(nodes, f), shifts, height2, lengths)
+        gate.append(np.flatnonzero((length_m + margin > least) & (length_m - margin < most)))
+        for m in gate[f].tolist():
+            total = likelihood_sum(lengths.ravel(), path_m[m], scale[m])
+            likelihood[f, m] = peak[m] * total / lengths.size
     detect = nodes.visibility * config.detection_probability
     silent = 1.0 - nodes.existence * detect
-    ratio = np.zeros((features, len(length_m)))
-    for (f, m), values in likelihood.items():
-        ratio[f, m] = nodes.existence[f] * detect[f] / silent[f] * values.mean(dtype=np.float64)
+    ratio = (nodes.existence * detect / silent)[:, None] * likelihood
     association = associate(ratio / (1.0 + new_ratio), iterations=30)
-    message = association.message / (1.0 + new_ratio)
+    share = detect[:, None] * association.message / (1.0 + new_ratio)
 
-    agent, anchor = np.zeros(particles, np.float32), np.zeros(particles, np.float32)
-    points = np.zeros((features - 1, particles), np.float32)
-    existence, visibility = nodes.existence.copy(), nodes.visibility.copy()
-    for f in range(features):
-        heard = [(m, values) for (g, m), values in likelihood.items() if g == f]
-        weight = np.full(heard[0][1].shape if heard else (1, 1), 1.0 - detect[f], np.float32)
-        for m, values in heard:
-            weight += np.float32(detect[f] * message[f, m]) * values
-        mean = float(weight.mean(dtype=np.float64))
-        existence[f] = nodes.existence[f] * mean / (nodes.existence[f] * mean + 1.0 - nodes.existence[f])
-        told = mean - (1.0 - detect[f])  # visible and heard
-        missed = nodes.visibility[f] * (1.0 - config.detection_probability)
-        visibility[f] = min((missed + told) / mean, 1.0)
-        if not heard:
-            continue
-        with_absence = np.float32(nodes.existence[f]) * weight + np.float32(1.0 - nodes.existence[f])
-        agent += np.log(with_absence.mean(axis=0))
-        anchor += np.log(_back(with_absence, shifts[:, 0]))
-        if f > 0:
-            points[f - 1] = np.log(_back(weight, shifts[:, 1]))
+    told = np.sum(share * likelihood, axis=1)  # visible and heard
+    mean = 1.0 - detect + told
+    existence = nodes.existence * mean / (nodes.existence * mean + 1.0 - nodes.existence)
+    missed = nodes.visibility * (1.0 - config.detection_probability)
+    visibility = np.minimum((missed + told) / mean, 1.0)
+
+    none = np.empty(0, np.float32)
+    agent, anchor = np.zeros(particles, np.float32), np.zeros(0 if nodes.fixed else particles, np.float32)
+    to_agent, to_anchor = np.empty_like(agent), np.empty_like(anchor)
+    points: list[NDArray[np.float32] | None] = []
+    for f, near in enumerate(gate):
+        to_point = np.empty(particles, np.float32) if f and near.size else none
+        if near.size:
+            paired_weights(
+                *_of(nodes, f),
+                shifts,
+                height2,
+                (path_m[near], scale[near], (share[f] * peak)[near].astype(np.float32)),
+                np.float32(1.0 - detect[f]),
+                np.float32(nodes.existence[f]),
+                (to_agent, to_anchor, to_point),
+            )
+            agent += np.log(to_agent, out=to_agent)
+            anchor += np.log(to_anchor, out=to_anchor)
+        if f:
+            points.append(np.log(to_point, out=to_point) if near.size else None)
     evidence = float(association.log_evidence + np.sum(np.log(silent)) + np.sum(np.log1p(new_ratio)))
     unexplained = np.clip(1.0 - association.probability.sum(axis=0), 0.0, 1.0)
-    return Messages(agent, anchor, points, existence, visibility, unexplained, evidence)
+    return Messages(agent, anchor, tuple(points), existence, visibility, unexplained, evidence)
 
 
-def _likelihoods(
-    nodes: Nodes, shifts: NDArray[np.int64], length_m: Array, std_m: Array, config: ParticleConfig
-) -> dict[tuple[int, int], NDArray[np.float32]]:
-    """Likelihood ratio of path over clutter, (S, N) for each pair (feature, path) in the gate."""
-    result = {}
-    height2 = np.float32(config.height2_mean_m2)
-    for f in range(len(nodes.existence)):
-        distance = np.empty((len(shifts), nodes.agent.shape[1]), np.float32)
-        for row, (a, b) in zip(distance, shifts, strict=True):
-            source = np.roll(nodes.anchor, a, axis=-1) if a else nodes.anchor
-            if f > 0:
-                point = np.roll(nodes.points[f - 1], b, axis=-1) if b else nodes.points[f - 1]
-                source = images(source, point) if nodes.shared else point
-            x, y = nodes.agent - source
-            np.sqrt(x * x + y * y + height2, out=row)
-        margin = config.gate_sigma * std_m
-        near = (length_m + margin > distance.min()) & (length_m - margin < distance.max())
-        for m in np.flatnonzero(near).tolist():
-            scaled = (distance - np.float32(length_m[m])) * np.float32(np.sqrt(0.5) / std_m[m])
-            peak = 1.0 / (np.sqrt(2.0 * np.pi) * std_m[m] * config.clutter_density)
-            result[f, m] = np.float32(peak) * np.exp(-scaled * scaled)
-    return result
-
-
-def _back(values: NDArray[np.float32], shifts: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Average over pairings (S, N) for the node that was shifted."""
-    if len(shifts) == 1:
-        return np.asarray(values[0])
-    rolled = [np.roll(row, -s) for row, s in zip(values, shifts.tolist(), strict=True)]
-    return np.asarray(np.mean(rolled, axis=0))
+def _of(nodes: Nodes, f: int) -> tuple[Cloud, Cloud, Cloud, int]:
+    """Agent, anchor and feature ``f``, and what kind of feature it is."""
+    if f == 0:
+        return nodes.agent, nodes.anchor, nodes.anchor, SIGHT
+    return nodes.agent, nodes.anchor, nodes.points[f - 1], WALL if nodes.shared else VIRTUAL

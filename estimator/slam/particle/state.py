@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ class Features:
 
     Parameters
     ----------
-    points_m : ndarray of float32, shape (L, 2, N)
+    points_m : tuple of L ndarray of float32, shape (2, N)
         Particles: VRPs, or virtual anchors where ``owner`` names an anchor.
     existence : ndarray, shape (L,)
         Probability of existence, (35).
@@ -36,7 +36,7 @@ class Features:
         Epoch of its first path, -1 if known from the start.
     """
 
-    points_m: Cloud
+    points_m: tuple[Cloud, ...]
     existence: Array
     visibility: Array
     owner: NDArray[np.int64]
@@ -47,17 +47,20 @@ class Features:
         return len(self.existence)
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Features:
-        """Copies of the features at ``index``."""
-        return Features(*(getattr(self, entry.name)[index] for entry in fields(self)))
+        """The features at ``index``."""
+        chosen = np.arange(len(self))[index]
+        columns = {name: getattr(self, name)[chosen] for name in COLUMNS}
+        return Features(tuple(self.points_m[j] for j in chosen.tolist()), **columns)
 
     def joined(self, other: Features) -> Features:
         """These features and then those of ``other``."""
-        pairs = ((getattr(self, entry.name), getattr(other, entry.name)) for entry in fields(self))
-        return Features(*(np.concatenate(pair) for pair in pairs))
+        pairs = {name: (getattr(self, name), getattr(other, name)) for name in COLUMNS}
+        columns = {name: np.concatenate(pair) for name, pair in pairs.items()}
+        return Features(self.points_m + other.points_m, **columns)
 
-    def copy(self) -> Features:
-        """A copy whose arrays may be changed."""
-        return Features(*(getattr(self, entry.name).copy() for entry in fields(self)))
+
+COLUMNS = tuple(entry.name for entry in fields(Features) if entry.name != "points_m")
+"""What :class:`Features` has beside the particles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +83,7 @@ class ParticleState:
         Identity that the next new feature gets.
     agent : ndarray of float32, shape (4, N)
         Position and velocity, estimator's frame.
-    anchors_m : ndarray of float32, shape (K, 2, N)
+    anchors_m : tuple of K ndarray of float32, shape (2, N)
         Anchors; meaningless where not located.
     located : ndarray of bool, shape (K,)
         Whether the anchor has been located.
@@ -100,7 +103,7 @@ class ParticleState:
     log_evidence: float
     next_wall_id: int
     agent: Cloud
-    anchors_m: Cloud
+    anchors_m: tuple[Cloud, ...]
     located: NDArray[np.bool_]
     sight: Array
     features: Features
@@ -111,19 +114,18 @@ class ParticleState:
         """Particles of each node, N."""
         return int(self.agent.shape[1])
 
-    def with_features(self, features: Features) -> ParticleState:
-        """The state with other features."""
-        return replace(self, features=features)
-
 
 _SCALARS = ("method", "epoch", "time_s", "log_evidence", "next_wall_id")
-_ARRAYS = ("agent", "anchors_m", "located", "sight", "past")
+_ARRAYS = ("agent", "located", "sight", "past")
 
 
 def save_particle_state(state: ParticleState) -> bytes:
     """The state as bytes (an npz archive without pickles); equal states give equal bytes."""
+    features = state.features
     columns = {name: getattr(state, name) for name in (*_SCALARS, *_ARRAYS, "anchor_names")}
-    columns |= {f"features.{e.name}": getattr(state.features, e.name) for e in fields(Features)}
+    columns |= {f"features.{name}": getattr(features, name) for name in COLUMNS}
+    columns["anchors_m"] = np.stack(state.anchors_m)
+    columns["features.points_m"] = np.array(features.points_m).reshape(len(features), 2, state.particles)
     return pack(FORMAT, columns)
 
 
@@ -139,7 +141,10 @@ def load_particle_state(data: bytes) -> ParticleState:
     def build(columns: Columns) -> ParticleState:
         return ParticleState(
             anchor_names=tuple(str(name) for name in columns["anchor_names"]),
-            features=Features(*(columns[f"features.{entry.name}"] for entry in fields(Features))),
+            anchors_m=tuple(columns["anchors_m"]),
+            features=Features(
+                tuple(columns["features.points_m"]), **{name: columns[f"features.{name}"] for name in COLUMNS}
+            ),
             **{name: columns[name].item() for name in _SCALARS},
             **{name: columns[name] for name in _ARRAYS},
         )

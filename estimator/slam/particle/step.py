@@ -11,7 +11,7 @@ from estimator.measurements import AnchorPaths
 from estimator.slam.methods import Method
 from estimator.slam.motion import process_noise, transition
 from estimator.slam.particle.births import born_features, new_odds
-from estimator.slam.particle.cloud import Cloud, gaussian_cloud, moments_of, resample
+from estimator.slam.particle.cloud import Cloud, moved, normals, resample, total_variance
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.particle.messages import Nodes, exchange
 from estimator.slam.particle.state import ParticleState
@@ -38,18 +38,23 @@ def predict(
         Source of the driving noise.
     """
     noise = process_noise(step_s, config.acceleration_variance)
-    agent = transition(step_s).astype(np.float32) @ state.agent
-    agent += gaussian_cloud(np.zeros(4), noise, state.particles, rng)
-    features = state.features.copy()
-    # one table of driving noise, which every feature reads from a place of its own
-    driving = gaussian_cloud(np.zeros(2), config.feature_std_m**2 * np.eye(2), state.particles, rng)
-    anchors = state.anchors_m.copy()
-    static = [*features.points_m, *(() if method.anchors == "known" else anchors)]
-    for cloud, shift in zip(static, rng.integers(state.particles, size=len(static)), strict=True):
-        cloud += np.roll(driving, shift, axis=-1)
-    features.existence[...] *= config.survival_probability
+    agent = moved(state.agent, transition(step_s), noise, rng)
+    # one table of driving noise, of which every coordinate of every feature reads from a place of its own
+    driving = np.float32(config.feature_std_m) * normals(state.particles, rng)
+
+    def driven(clouds: tuple[Cloud, ...]) -> tuple[Cloud, ...]:
+        places = rng.integers(state.particles, size=(len(clouds), 2)).tolist()
+        return tuple(_driven(cloud, driving, place) for cloud, place in zip(clouds, places, strict=True))
+
+    before = state.features
     stay, appear = 1.0 - config.vanish_probability, config.appear_probability
-    features.visibility[...] = stay * features.visibility + appear * (1.0 - features.visibility)
+    features = replace(
+        before,
+        points_m=driven(before.points_m),
+        existence=config.survival_probability * before.existence,
+        visibility=stay * before.visibility + appear * (1.0 - before.visibility),
+    )
+    anchors = state.anchors_m if method.anchors == "known" else driven(state.anchors_m)
     sight = stay * state.sight + appear * (1.0 - state.sight)
     return replace(state, agent=agent, anchors_m=anchors, features=features, sight=sight)
 
@@ -80,27 +85,28 @@ def hear_anchor(
         Source of randomness.
     """
     length, std = paths.range_m, np.maximum(paths.range_std_m, config.range_std_m)
-    features = state.features.copy()
+    features = state.features
     mine = np.flatnonzero((features.owner < 0) | (features.owner == k))
     nodes = Nodes(
         agent=state.agent[:2],
         anchor=state.anchors_m[k],
-        points=features.points_m[mine],
+        points=tuple(features.points_m[j] for j in mine.tolist()),
         shared=method.shared,
         existence=np.concatenate([[1.0], features.existence[mine]]),
         visibility=np.concatenate([[state.sight[k]], features.visibility[mine, k]]),
+        fixed=method.anchors == "known",
     )
     said = exchange(nodes, length, std, new_odds(length, config), config, rng)
     agent = resample(state.agent, said.agent, rng)
-    anchors = state.anchors_m.copy()
-    if method.anchors != "known":
+    anchors, points = list(state.anchors_m), list(features.points_m)
+    if not nodes.fixed:
         anchors[k] = _refined(anchors[k], said.anchor, config, rng)
     for j, log_weight in zip(mine.tolist(), said.points, strict=True):
-        features.points_m[j] = _refined(features.points_m[j], log_weight, config, rng)
-    features.existence[mine] = said.existence[1:]
-    features.visibility[mine, k] = said.visibility[1:]
-    sight = state.sight.copy()
-    sight[k] = said.visibility[0]
+        if log_weight is not None:
+            points[j] = _refined(points[j], log_weight, config, rng)
+    existence, seen, sight = features.existence.copy(), features.visibility.copy(), state.sight.copy()
+    existence[mine], seen[mine, k], sight[k] = said.existence[1:], said.visibility[1:], said.visibility[0]
+    features = replace(features, points_m=tuple(points), existence=existence, visibility=seen)
     visibility = np.full(len(state.anchor_names), config.start_visibility)
     visibility[k] = 1.0
     new = born_features(
@@ -117,7 +123,7 @@ def hear_anchor(
     return replace(
         state,
         agent=agent,
-        anchors_m=anchors,
+        anchors_m=tuple(anchors),
         sight=sight,
         features=features.joined(new),
         next_wall_id=state.next_wall_id + len(new),
@@ -132,5 +138,14 @@ def _refined(
     if log_weight.max() == log_weight.min():
         return cloud
     after = resample(cloud, log_weight, rng)
-    worse = np.trace(moments_of(after)[1]) > config.worse_ratio * np.trace(moments_of(cloud)[1])
+    worse = total_variance(after)[1] > config.worse_ratio * total_variance(cloud)[1]
     return cloud if worse else after
+
+
+def _driven(cloud: Cloud, driving: NDArray[np.float32], places: list[int]) -> Cloud:
+    """A cloud (2, N) plus noise (N,), read cyclically by each coordinate from its place on."""
+    out, rest = np.empty_like(cloud), len(driving) - np.array(places)
+    for axis, (place, left) in enumerate(zip(places, rest.tolist(), strict=True)):
+        np.add(cloud[axis, :left], driving[place:], out=out[axis, :left])
+        np.add(cloud[axis, left:], driving[:place], out=out[axis, left:])
+    return out

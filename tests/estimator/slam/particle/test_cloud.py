@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.slam.particle.cloud import gaussian_cloud, moments_of, resample, systematic
+from estimator.slam.particle.cloud import (
+    gaussian_cloud,
+    moments_of,
+    moved,
+    normals,
+    resample,
+    systematic,
+    total_variance,
+)
 
 
 @pytest.mark.parametrize("draws", [60, 1000])
@@ -66,3 +74,43 @@ def test_singular_covariances_are_drawn_from():
     line = gaussian_cloud([3.0, 4.0], np.ones((2, 2)), 1000, rng)
     assert np.allclose(line[0] - 3.0, line[1] - 4.0, atol=1e-5)
     assert np.array_equal(gaussian_cloud([3.0, 4.0], np.zeros((2, 2)), 5, rng), np.tile([[3.0], [4.0]], 5))
+
+
+@pytest.mark.parametrize("count", [1, 31, 1000])
+def test_moments_are_those_of_every_particle(count):
+    """Means, covariances and their trace, far from the origin, whatever is left over of the lanes."""
+    cloud = (np.random.default_rng(8).normal(size=(3, count)) + [[1e3], [0.0], [-50.0]]).astype(np.float32)
+    exact = cloud.astype(np.float64)
+    mean, covariance = moments_of(cloud)
+    assert mean == pytest.approx(exact.mean(axis=1), rel=1e-12)
+    assert covariance == pytest.approx(np.cov(exact, bias=True), abs=1e-9)
+    place, total = total_variance(cloud)
+    assert place == pytest.approx(mean, rel=1e-12)
+    assert total == pytest.approx(np.trace(covariance), abs=1e-9)
+
+
+def test_normal_numbers_are_normal():
+    """Moments up to the fourth, independence of the halves made together, and the share of the tail."""
+    count = 400_000
+    values = normals(count + 1, np.random.default_rng(9)).astype(np.float64)
+    assert len(values) == count + 1
+    for power, moment in ((1, 0.0), (2, 1.0), (3, 0.0), (4, 3.0)):
+        spread = np.sqrt(np.prod(np.arange(1, 2 * power, 2)) / count)  # of the mean of a power
+        assert np.mean(values**power) == pytest.approx(moment, abs=5.0 * spread)
+    first, second = values[: count // 2], values[count // 2 + 1 :]
+    assert abs(np.mean(first * second)) < 5.0 / np.sqrt(count / 2)
+    assert abs(np.mean((first**2 - 1.0) * (second**2 - 1.0))) < 10.0 / np.sqrt(count / 2)
+    share = np.mean(np.abs(values) > 3.0)
+    assert share == pytest.approx(0.0026998, abs=5.0 * np.sqrt(0.0027 / count))
+
+
+def test_motion_moves_mean_and_covariance():
+    """A cloud times a matrix plus noise has the moments of the Kalman filter's prediction."""
+    rng, count = np.random.default_rng(10), 200_000
+    matrix, noise = np.array([[1.0, 0.5], [0.0, 1.0]]), 0.3 * np.ones((2, 2))
+    before = np.array([[2.0, 0.6], [0.6, 0.5]])
+    cloud = gaussian_cloud([1.0, -2.0], before, count, rng)
+    mean, covariance = moments_of(moved(cloud, matrix, noise, rng))
+    exact = matrix @ before @ matrix.T + noise
+    assert mean == pytest.approx(matrix @ [1.0, -2.0], abs=5.0 * np.sqrt(exact.max() / count))
+    assert covariance == pytest.approx(exact, abs=5.0 * exact.max() * np.sqrt(2.0 / count))

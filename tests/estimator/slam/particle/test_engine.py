@@ -128,19 +128,20 @@ def test_known_anchors_make_better_maps(room):
 
 def test_a_feature_on_a_circle_is_not_found_yet(room):
     """It exists and is nowhere yet: a candidate, and a wall only where that is asked for, as published."""
-    measured = measure(room, 42, 5)
+    measured = measure(room, 42, 8)
     config = replace(config_for(measured, engine="particle"), particles=3000)
     engine = engine_for("mva", "particle", config)
     asked = replace(engine, config=replace(config, found_std_m=1e6))
-    state = engine.start(Prior.of(measured), epoch_rng(0, -1))
+    state, circles = engine.start(Prior.of(measured), epoch_rng(0, -1)), 0
     for epoch in measured.epochs:
         state = engine.step(state, epoch, epoch_rng(0, epoch.index))
-    found, every = engine.estimate(state), asked.estimate(state)
-    spread = np.sqrt(0.5 * np.trace(every.wall_covariance_m2, axis1=1, axis2=2))
-    assert np.sum(spread > 5.0) >= 1
-    assert set(found.wall_id.tolist()) == set(every.wall_id[spread <= 5.0].tolist())
-    waiting = {int(each.wall_id[0]) for each in found.candidates}
-    assert set(every.wall_id[spread > 5.0].tolist()) <= waiting
+        found, every = engine.estimate(state), asked.estimate(state)
+        spread = np.sqrt(0.5 * np.trace(every.wall_covariance_m2, axis1=1, axis2=2))
+        assert set(found.wall_id.tolist()) == set(every.wall_id[spread <= 5.0].tolist())
+        waiting = {int(each.wall_id[0]) for each in found.candidates}
+        assert set(every.wall_id[spread > 5.0].tolist()) <= waiting
+        circles += int(np.sum(spread > 5.0))
+    assert circles >= 1
 
 
 def test_virtual_anchors_are_mapped_for_each_anchor(room):

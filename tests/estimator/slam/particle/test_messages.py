@@ -11,7 +11,7 @@ from estimator.geometry import mirror
 from estimator.slam.particle.births import born_features, merged, new_odds, pruned, vrp_between
 from estimator.slam.particle.cloud import gaussian_cloud
 from estimator.slam.particle.config import ParticleConfig
-from estimator.slam.particle.messages import Nodes, exchange, images
+from estimator.slam.particle.messages import Nodes, exchange
 from estimator.slam.particle.state import Features
 
 CONFIG = ParticleConfig(particles=8, range_std_m=0.1, pairings=1, new_mean=0.01)
@@ -58,7 +58,7 @@ def test_association_is_exact_where_the_graph_is_a_tree(length):
     nodes = Nodes(
         agent=still(AGENT)[0],
         anchor=still(ANCHOR)[0],
-        points=still(WALL),
+        points=tuple(still(WALL)),
         shared=True,
         existence=np.array([1.0, 0.6]),
         visibility=np.array([0.9, 0.7]),
@@ -78,8 +78,8 @@ def test_association_is_exact_where_the_graph_is_a_tree(length):
 def test_weights_of_agent_and_wall_are_the_likelihood_of_their_place():
     """With all else known, particles weigh what the Gaussian of their own range weighs."""
     offsets = np.linspace(-0.2, 0.2, CONFIG.particles, dtype=np.float32)
-    wall = still(WALL)
-    wall[0, 1] += offsets
+    wall = tuple(still(WALL))
+    wall[0][1] += offsets
     length = np.array([np.linalg.norm(mirror(ANCHOR, WALL) - AGENT)])
     nodes = Nodes(still(AGENT)[0], still(ANCHOR)[0], wall, True, np.ones(2), np.array([0.0, 1.0]))
     said = exchange(nodes, length, np.array([0.1]), np.zeros(1), CONFIG, np.random.default_rng(0))
@@ -97,7 +97,7 @@ def test_more_pairings_estimate_the_same_message_better():
     rng = np.random.default_rng(1)
     count = 2000
     agent, anchor = np.repeat(AGENT[:, None], count, 1), np.repeat(ANCHOR[:, None], count, 1)
-    wall = gaussian_cloud(WALL, 0.04 * np.eye(2), count, rng)[None]
+    wall = (gaussian_cloud(WALL, 0.04 * np.eye(2), count, rng),)
     length = np.array([np.linalg.norm(mirror(ANCHOR, WALL) - AGENT)])
     nodes = Nodes(
         agent.astype(np.float32), anchor.astype(np.float32), wall, True, np.ones(2), np.array([0.0, 1.0])
@@ -116,16 +116,13 @@ def test_more_pairings_estimate_the_same_message_better():
 
 
 def test_images_and_walls_are_each_others_inverse():
-    """(2) then (3) gives the wall back, for clouds as for points."""
+    """(2) then (3) gives the wall back: the VRP of an anchor and its mirror image is the wall's."""
     rng = np.random.default_rng(2)
-    wall = rng.normal(scale=30.0, size=(3, 2, 50)).astype(np.float32)
-    anchor = rng.normal(scale=30.0, size=(2, 50)).astype(np.float32)
-    virtual = images(anchor, wall)
-    exact = mirror(anchor.T.astype(float), np.moveaxis(wall, 1, 2).astype(float))
-    assert np.moveaxis(virtual, 1, 2) == pytest.approx(exact, abs=1e-3)
-    usable = np.linalg.norm(virtual - anchor, axis=1) > 1.0
-    back = vrp_between(np.broadcast_to(anchor, virtual.shape), virtual)
-    error = np.linalg.norm(back - wall, axis=1)
+    wall, anchor = rng.normal(scale=30.0, size=(2, 2, 50))
+    virtual = mirror(anchor.T, wall.T).T
+    usable = np.linalg.norm(virtual - anchor, axis=0) > 1.0
+    back = vrp_between(anchor.astype(np.float32), virtual.astype(np.float32))
+    error = np.linalg.norm(back - wall, axis=0)
     assert np.all(error[usable] < 1e-2)
 
 
@@ -150,7 +147,9 @@ def test_new_features_explain_their_path_from_every_bearing(owner):
     assert (new.wall_id[0], new.born[0], new.owner[0]) == (7, 3, owner)
     odds = config.new_mean * 2.0 * 60.0 / 180.0**2 * 180.0
     assert new.existence[0] == pytest.approx(0.9 * odds / (1.0 + odds))
-    virtual = images(anchor, new.points_m[0]) if owner < 0 else new.points_m[0]
+    virtual = new.points_m[0]
+    if owner < 0:
+        virtual = mirror(anchor.T, virtual.T).T
     offset = virtual - agent
     ranges = np.linalg.norm(offset, axis=0)
     assert ranges.mean() == pytest.approx(60.0, abs=5.0 * 0.2 / np.sqrt(4000))
@@ -165,7 +164,7 @@ def features_at(places, spreads, existence, born):
     clouds = [gaussian_cloud(p, s**2 * np.eye(2), 500, rng) for p, s in zip(places, spreads, strict=True)]
     count = len(clouds)
     return Features(
-        np.array(clouds),
+        tuple(clouds),
         np.array(existence),
         np.full((count, 2), 0.5),
         np.full(count, -1),
