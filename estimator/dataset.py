@@ -17,6 +17,7 @@ track is cut into shards of successive epochs, so nothing needs more memory than
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -116,7 +117,9 @@ def write_netcdf(data: xr.Dataset, path: Path, replace: bool = False) -> None:
         raise FileFormatError(f"{path}: expected an existing folder {path.parent}, there is none")
     temporary = temporary_name(path)
     try:
-        data.to_netcdf(temporary, engine="h5netcdf")
+        contents = io.BytesIO()  # where a disk is full, HDF5 itself ends the process
+        data.to_netcdf(contents, engine="h5netcdf")
+        temporary.write_bytes(contents.getbuffer())
         publish(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -4,14 +4,15 @@ Each command is a thin face of one function of the estimator or the ray tracer, 
 are imported when the command runs; those of datasets and of the service are in modules
 of their own.
 
-Exit status: 0 when all went well, 1 when `doctor`, `verify` or `info` found something
-bad or the system refused (no space, no permission), 2 when the input was bad. Errors are one line on
-the standard error.
+Exit status: 0 when all went well, 1 when `doctor`, `verify` or `info` found something bad, 2 when the
+input was bad or the system refused (no space, no permission), 3 when `--strict` was asked for and paths
+are missing. Errors are one line on the standard error.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -19,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
-from rich.console import Console
 
 from estimator.errors import HapslamError
 from service.cli_bench import register as register_bench
@@ -28,6 +28,8 @@ from service.cli_dataset import register as register_datasets
 from service.cli_experiments import register as register_experiments
 from service.cli_scene import register as register_scenes
 from service.cli_service import register
+from service.console import made_parents, plain_console
+from service.missing_paths import STRICT_STATUS, Strict, tell_missing
 from service.progress import Reporter
 
 if TYPE_CHECKING:
@@ -87,7 +89,7 @@ def doctor(as_json: Json = False) -> None:
     if as_json:
         _print_json(findings_json(findings))
     else:
-        print_findings(findings, Console())
+        print_findings(findings, plain_console())
     if not all(finding.ok for finding in findings):
         raise typer.Exit(1)
 
@@ -101,6 +103,7 @@ def demo(
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
+    strict: Strict = False,
 ) -> None:
     """Trace a room while an agent walks through it, map it blindly, compare with the truth."""
     from raytrace.dataset.generate import generate
@@ -121,13 +124,20 @@ def demo(
     if as_json:
         _print_json(numbers)
     else:
-        print_evaluation(numbers, Console(), picture=folder / "map.png")
+        print_evaluation(numbers, plain_console(), picture=folder / "map.png")
+    if tell_missing([folder / "dataset"]) and strict:
+        raise typer.Exit(STRICT_STATUS)
 
 
 @app.command(epilog=_examples("extract room --out room-measurements.nc"))
 def extract(
     dataset: Annotated[Path, typer.Argument(help="Dataset directory.")],
-    out: Annotated[Path, typer.Option(metavar="MEASUREMENTS", help="Measurement file to write (netCDF).")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="MEASUREMENTS", help="Measurement file to write (netCDF).", callback=made_parents
+        ),
+    ],
     quiet: Quiet = False,
 ) -> None:
     """Estimate delays from the channels and walls from the echoes."""
@@ -140,7 +150,10 @@ def extract(
 @app.command(epilog=_examples("slam room-measurements.nc --out room-result.nc"))
 def slam(
     measurements: Annotated[Path, typer.Argument(help="Measurement file.")],
-    out: Annotated[Path, typer.Option(metavar="RESULT", help="Result file to write (netCDF).")],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="RESULT", help="Result file to write (netCDF).", callback=made_parents),
+    ],
     method: Annotated[str, typer.Option(help="What is known and sensed.")] = "hybrid",
     engine: Annotated[str, typer.Option(help="How inference is done.")] = "gaussian",
     seed: Seed = 1,
@@ -167,13 +180,16 @@ def evaluate(
     if as_json:
         _print_json(numbers)
     else:
-        print_evaluation(numbers, Console())
+        print_evaluation(numbers, plain_console())
 
 
 @app.command(epilog=_examples("plot room-result.nc --out map.png", "plot room-result.nc --out map.svg"))
 def plot(
     result: Annotated[Path, typer.Argument(help="Result file.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Picture to write: .png, .svg or .pdf.")],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="Picture to write: .png, .svg or .pdf.", callback=made_parents),
+    ],
     truth: Truth = None,
 ) -> None:
     """Draw the map: walls, anchors, track, uncertainties, and the truth where it is found."""
@@ -226,7 +242,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     given = None if arguments is None else list(arguments)
     try:
-        sys.exit(app(args=given, prog_name="hapslam", standalone_mode=False) or 0)
+        status = app(args=given, prog_name="hapslam", standalone_mode=False) or 0
+        sys.stdout.flush()  # a full disk or a closed pipe is told here, not when Python ends
+        sys.exit(status)
     except _UsageError as error:
         path = error.ctx.command_path if error.ctx else "hapslam"
         text = " ".join(error.format_message().split())
@@ -240,4 +258,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (HapslamError, OSError) as error:
         text = "; ".join([str(error), *getattr(error, "__notes__", [])])
         sys.stderr.write(f"hapslam: error: {' '.join(text.split())}\n")
-        sys.exit(2 if isinstance(error, HapslamError) else 1)
+        _drop_output()
+        sys.exit(2)
+
+
+def _drop_output() -> None:
+    """Forget what the standard output could not take: Python would try again, and fail, on its way out."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.console import plain_console
+
 if TYPE_CHECKING:
     from service.bench.rows import Row
 
@@ -82,10 +84,10 @@ def _as_json(part: Part, row: Row) -> dict[str, Any]:
 
 
 def _print_table(about: dict[str, Any], rows: Iterator[tuple[Part, Row]]) -> None:
-    from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    console = Console()
+    console = plain_console()
     machine = about["machine"]
     console.print(
         f"{about['time']}: {machine['cpu']}, {machine['cores']} cores; {machine['system']}; "
@@ -103,8 +105,8 @@ def _print_table(about: dict[str, Any], rows: Iterator[tuple[Part, Row]]) -> Non
     with console.status("measuring") as status:
         for part, row in rows:
             status.update(f"measuring: {part.value}")
-            verdict = {None: "", True: " [green]met[/]", False: " [red]NOT met[/]"}[row.met]
-            bar = "" if row.bar is None else f"{row.bar:.3g} {row.unit}{verdict}"
+            verdict = {None: Text(""), True: Text(" met", "green"), False: Text(" NOT met", "red")}[row.met]
+            bar = Text("") if row.bar is None else Text(f"{row.bar:.3g} {row.unit}") + verdict
             peer = ""
             if row.peer is not None and row.peer_value is not None:
                 peer = f"{row.peer}: {row.peer_value:.3g} {row.unit} (x {row.ratio:.2g})"

@@ -9,16 +9,19 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from estimator.errors import ConfigurationError
+from service.console import made_parents, plain_console
+from service.missing_paths import STRICT_STATUS, Strict, tell_missing
 from service.progress import Reporter
 
 __all__ = ["register"]
 
 Scene = Annotated[str, typer.Argument(help="Name of a shipped scene, or a floor plan file.")]
 Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="Dataset directory.")]
-Out = Annotated[Path, typer.Option(metavar="DATASET", help="Dataset directory to make.")]
+Out = Annotated[
+    Path, typer.Option(metavar="DATASET", help="Dataset directory to make.", callback=made_parents)
+]
 Jobs = Annotated[int, typer.Option(min=1, help="Processes of this machine that make shards.")]
 Scheduler = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers make the shards.")
@@ -73,6 +76,7 @@ def trace(
     ] = "cfr",
     licence: Annotated[str, typer.Option(help="Terms of use, for the data card.")] = "",
     quiet: Quiet = False,
+    strict: Strict = False,
 ) -> None:
     """Trace a floor plan and write a dataset: channels, echoes, paths, truth.
 
@@ -85,29 +89,40 @@ def trace(
     from raytrace.plan.files import load_floorplan
 
     plan = load_floorplan(scene)
+    for repair in plan.repairs.lines():
+        Reporter(quiet).say(f"hapslam: note: {repair}")
     output = Output(shard_epochs, content, licence)
+    made: tuple[Path, ...] = (out,)
     portion = None if part is None else _part(part)
     with open_workers(jobs, scheduler) as crew, Reporter(quiet).stage("trace") as advance:
         if portion is None:
-            generate_agents(plan, out, seed, advance, output=output, resume=resume, crew=crew)
+            made = generate_agents(plan, out, seed, advance, output=output, resume=resume, crew=crew)
         else:
             generate_part(plan, out, seed, portion, advance, output=output, resume=resume, crew=crew)
+    if tell_missing(made) and strict:
+        raise typer.Exit(STRICT_STATUS)
 
 
 def campaign(
     file: Annotated[Path, typer.Argument(help="Campaign file (TOML): scenes, seeds, set-ups.")],
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the datasets.")],
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder for the datasets.", callback=made_parents)
+    ],
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     quiet: Quiet = False,
+    strict: Strict = False,
 ) -> None:
     """Trace many scenes, set-ups and seeds; what was broken off goes on."""
     from estimator.executors import open_workers
     from raytrace.dataset.campaign import run_campaign
 
     with open_workers(jobs, scheduler) as crew, Reporter(quiet).stage("campaign") as advance:
-        for dataset in run_campaign(file, out, advance, crew):
+        made = run_campaign(file, out, advance, crew)
+        for dataset in made:
             _print(str(dataset))
+    if tell_missing(made) and strict:
+        raise typer.Exit(STRICT_STATUS)
 
 
 def append(
@@ -151,9 +166,12 @@ def verify(dataset: Dataset, as_json: Json = False, quiet: Quiet = False) -> Non
             f"paths      {result.found} of {result.expected} found, {result.missing} missing, "
             f"{result.extra} extra, {result.wrong} wrong"
         )
-        _print(f"delays     within {1e3 * result.delay_error_m:.3f} mm")
-        _print(f"arrivals   within {result.angle_error_deg:.4f} degrees")
-        _print(f"amplitudes within {result.amplitude_error_db:.4f} dB of Fresnel theory")
+        if result.found:
+            _print(f"delays     within {1e3 * result.delay_error_m:.3f} mm")
+            _print(f"arrivals   within {result.angle_error_deg:.4f} degrees")
+            _print(f"amplitudes within {result.amplitude_error_db:.4f} dB of Fresnel theory")
+        else:
+            _print("delays, arrivals and amplitudes: there was nothing to compare")
         for path in result.named:
             over = " over " + ", ".join(path["surfaces"]) if path["surfaces"] else ", line of sight"
             _print(f"{path['fault']:<10} epoch {path['epoch']}, anchor {path['anchor']}{over}")
@@ -170,7 +188,7 @@ def info(dataset: Dataset, as_json: Json = False) -> None:
     if as_json:
         _print(json.dumps(facts, indent=2, allow_nan=False))
     else:
-        print_inventory(facts, Console())
+        print_inventory(facts, plain_console())
     if facts["damaged"]:
         raise typer.Exit(1)
 
@@ -178,7 +196,7 @@ def info(dataset: Dataset, as_json: Json = False) -> None:
 def export(
     dataset: Dataset,
     to: Annotated[str, typer.Option(help="mat (MATLAB, Octave) or deepmimo (a scenario's folder).")],
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to make.")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to make.", callback=made_parents)],
 ) -> None:
     """Write a dataset for other software."""
     from estimator.dataset import open_dataset

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 __all__ = ["Finding", "as_json", "machine_findings", "print_findings"]
 
@@ -64,7 +65,8 @@ def print_findings(findings: Iterable[Finding], console: Console) -> None:
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for finding in findings:
-        table.add_row("[green]ok[/]" if finding.ok else "[red]BAD[/]", finding.name, finding.value)
+        verdict = Text("ok", "green") if finding.ok else Text("BAD", "red")
+        table.add_row(verdict, Text(finding.name), Text(finding.value))
         if not finding.ok:
-            table.add_row("", "", f"[bold]remedy:[/] {finding.remedy}")
+            table.add_row("", "", Text.assemble(("remedy:", "bold"), f" {finding.remedy}"))
     console.print(table)

@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 __all__ = ["print_evaluation", "print_inventory"]
 
@@ -17,7 +18,7 @@ def print_evaluation(numbers: Mapping[str, Any], console: Console, **more: objec
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in [*_rows(numbers), *more.items()]:
-        table.add_row(name, str(value))
+        table.add_row(Text(name), Text(str(value)))
     console.print(table)
 
 
@@ -93,7 +94,7 @@ def print_inventory(facts: Mapping[str, Any], console: Console) -> None:
     if facts["damaged"]:
         rows.append(("DAMAGED", ", ".join(facts["damaged"])))
     for name, value in rows:
-        table.add_row(name, value)
+        table.add_row(Text(name), Text(value))
     console.print(table)
 
 

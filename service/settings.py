@@ -111,7 +111,7 @@ def load_settings(config: Path | None = None, **overrides: object) -> Settings:
     file = config or (Path(named) if (named := os.environ.get("HAPSLAM_CONFIG")) else None)
     try:
         if file is not None:
-            stated = tomllib.loads(file.read_text(encoding="utf-8"))
+            stated = tomllib.loads(file.read_text(encoding="utf-8-sig"))
             environment = {name.lower() for name in os.environ}
             kept = {name: value for name, value in stated.items() if f"hapslam_{name}" not in environment}
             overrides = {**kept, **{name: value for name, value in overrides.items() if value is not None}}

@@ -31,7 +31,7 @@ from raytrace.dataset.journal import require_place
 from raytrace.dataset.output import Output
 from raytrace.dataset.shard_task import Progress
 from raytrace.plan.errors import one_line
-from raytrace.plan.files import load_floorplan, updated
+from raytrace.plan.files import FloorPlanError, load_floorplan, updated
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.links import Part
 
@@ -77,8 +77,7 @@ def load_campaign(path: Path) -> Campaign:
         If it is missing, no TOML, or says something that is not understood.
     """
     try:
-        with path.open("rb") as stream:
-            return Campaign.model_validate(tomllib.load(stream))
+        return Campaign.model_validate(tomllib.loads(path.read_text(encoding="utf-8-sig")))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise FileFormatError(f"{path}: expected a campaign in TOML, could not read it: {error}") from error
     except ValidationError as error:
@@ -141,7 +140,11 @@ def _runs(campaign: Campaign, folder: Path) -> Iterator[_Run]:
         beside = folder / scene
         plan = load_floorplan(beside if beside.is_file() else scene)
         for setup in campaign.setups or (None,):
-            changed = plan if setup is None else updated(plan, setup.set)
+            try:
+                changed = plan if setup is None else updated(plan, setup.set)
+            except FloorPlanError as error:
+                where = f"{beside if beside.is_file() else scene}, setup {setup.name!r}" if setup else scene
+                raise FloorPlanError(f"{where}: {error}") from error
             stem = Path(scene).stem if setup is None else f"{Path(scene).stem}-{setup.name}"
             for seed in campaign.seeds:
                 yield _Run(f"{stem}-seed{seed}", changed, seed)

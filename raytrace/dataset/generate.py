@@ -139,6 +139,12 @@ def generate_part(
         raise ConfigurationError(f"part: expected i/n with 1 <= i <= n, got {number}/{parts}")
     out = Path(out)
     settings, known = _prepared(plan, out, seed, output, resume)
+    shards = len(settings.ranges(plan.agent.epochs))
+    if parts > shards:
+        raise ConfigurationError(
+            f"part: expected at most {shards} parts of {shards} shards, got {parts}: "
+            f"a part would be empty; smaller shards (shard_epochs) make more"
+        )
     with journal(out, known, resume) as writer:
         if writer is not None:
             make_shards(writer, plan, seed, settings, crew, progress, part=part)

@@ -48,6 +48,7 @@ SYSTEM_FOLDERS = (
 
 _VARIABLE = "DRJIT_LIBLLVM_PATH"
 _PACKAGE = "karellen-llvm-core"
+_MODULES = ("mitsuba", "drjit", "sionna")
 _REMEDY_LLVM = (
     f"install LLVM {MINIMUM_LLVM} or newer, either the Python package {_PACKAGE} (Linux, x86-64) or the "
     f"system's library (Debian: apt install libllvm19), or set {_VARIABLE} to such a libLLVM"
@@ -143,6 +144,12 @@ def prepare() -> LlvmChoice:
         If there is no usable LLVM, the ray tracer is not installed, or Dr.Jit was
         imported before with another LLVM; the message holds the remedy.
     """
+    missing = [name for name in _MODULES if find_spec(name) is None]
+    if missing:
+        raise BackendError(
+            f"ray tracer: expected the packages {', '.join(_MODULES)}, "
+            f"not installed: {', '.join(missing)}; {_REMEDY_PACKAGES}"
+        )
     choice = choose_llvm()
     loaded = _loaded_llvm()
     if "drjit" in sys.modules and loaded is not None and not loaded.samefile(choice.path):
@@ -154,8 +161,6 @@ def prepare() -> LlvmChoice:
     try:
         drjit = import_module("drjit")
         mitsuba = import_module("mitsuba")
-        if find_spec("sionna") is None:
-            raise ImportError("No module named 'sionna'")
     except ImportError as error:
         raise BackendError(
             f"ray tracer: expected Mitsuba and Sionna RT, cannot import them ({error}); {_REMEDY_PACKAGES}"
