@@ -49,11 +49,11 @@ def measured(epochs: list[Epoch]) -> MeasurementSet:
 
 def test_public_names_are_those_of_their_modules_and_typed() -> None:
     """Every name of __all__ can be imported, is listed, and is what type checkers are told it is."""
-    tree = ast.parse(Path(estimator.__file__).read_text(encoding="utf-8"))
+    tree = ast.parse(Path(estimator.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
     typed = {
-        alias.name: node.module
+        alias.name: f"estimator.{node.module}"
         for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("estimator.")
+        if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
     assert set(typed) == set(estimator.__all__)
@@ -62,7 +62,7 @@ def test_public_names_are_those_of_their_modules_and_typed() -> None:
         value = getattr(estimator, name)
         assert value is getattr(__import__(str(module), fromlist=[name]), name)
         assert value.__doc__
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+    with pytest.raises(AttributeError, match="attribute nothing"):
         _ = estimator.nothing
 
 
