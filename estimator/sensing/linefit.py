@@ -48,9 +48,9 @@ class BeamFan:
 
     Parameters
     ----------
-    azimuth_rad : ndarray, shape (M, Q)
+    azimuth_rad : ndarray, shape (..., M, Q)
         Directions, radians.
-    power : ndarray, shape (M, Q)
+    power : ndarray, shape (..., M, Q)
         Two-way power pattern of each beam, 0 or more, on any scale.
     falloff : float
         ``p + 2 eta``: exponent of the cosine in the power that a flat wall returns.
@@ -61,12 +61,12 @@ class BeamFan:
     falloff: float = 4.4
 
     def __post_init__(self) -> None:
-        if self.azimuth_rad.ndim != 2 or self.azimuth_rad.shape != self.power.shape:
+        if self.azimuth_rad.ndim < 2 or self.azimuth_rad.shape != self.power.shape:
             raise ConfigurationError(
-                f"BeamFan: expected azimuth_rad and power of one shape (M, Q), got "
+                f"BeamFan: expected azimuth_rad and power of one shape (..., M, Q), got "
                 f"{self.azimuth_rad.shape} and {self.power.shape}"
             )
-        if not np.all(self.power >= 0.0) or not np.all(self.power.sum(axis=1) > 0.0):
+        if not np.all(self.power >= 0.0) or not np.all(self.power.sum(axis=-1) > 0.0):
             raise ConfigurationError(
                 "BeamFan.power: expected numbers of 0 or more and some power in each beam"
             )
@@ -81,7 +81,7 @@ class BeamFan:
         return cls(np.broadcast_to(azimuth, power.shape), power, exponent + 2.0 * eta)
 
     def take(self, beams: NDArray[np.int64]) -> BeamFan:
-        """The fan of some beams."""
+        """The fan of some of M beams, which may be several in rows: shape (..., m) gives (..., m, Q)."""
         return BeamFan(self.azimuth_rad[beams], self.power[beams], self.falloff)
 
     def secant(self, normal_rad: Array) -> tuple[Array, Array]:
@@ -162,7 +162,7 @@ def fit_lines(
     weight : array_like, shape (..., M)
         1 for a range to use, 0 for one to leave out.
     fan : BeamFan, optional
-        The M wide beams, which take the place of the pencils at ``azimuth_rad``.
+        The wide beams, of shape (M, Q) or (..., M, Q), in place of the pencils at ``azimuth_rad``.
 
     Returns
     -------
@@ -175,8 +175,8 @@ def fit_lines(
     """
     distance, std, azimuth = checked_ranges(distance_m, range_std_m, azimuth_rad)
     precision = np.broadcast_to(np.asarray(weight, dtype=np.float64), distance.shape) / std**2
-    if fan is not None and len(fan.azimuth_rad) != distance.shape[-1]:
-        raise InputError(f"fan: expected {distance.shape[-1]} beams, got {len(fan.azimuth_rad)}")
+    if fan is not None and fan.azimuth_rad.shape[-2] != distance.shape[-1]:
+        raise InputError(f"fan: expected {distance.shape[-1]} beams, got {fan.azimuth_rad.shape[-2]}")
 
     def secant(normal: Array) -> tuple[Array, Array]:
         return _pencil(azimuth, normal) if fan is None else fan.secant(normal)

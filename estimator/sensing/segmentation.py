@@ -187,14 +187,19 @@ class _Sweep:
     config: SegmentationConfig
 
     def fit(self, weight: Array) -> LineFit:
-        """Lines through the beams that each row of ``weight`` (L, M) marks, determined ones only."""
-        shape = weight.shape
+        """Lines through the beams that each row of ``weight`` (L, M) marks, determined ones only.
+
+        A proposal marks three beams of all, so those that a row marks come first and no more are looked at
+        than the row with most of them has.
+        """
+        most = int(np.count_nonzero(weight, axis=1).max())
+        marked = np.argsort(weight == 0.0, axis=1, kind="stable")[:, :most]
         fit = fit_lines(
-            np.broadcast_to(self.distance, shape),
-            np.broadcast_to(self.std, shape),
-            self.azimuth,
-            weight,
-            self.fan,
+            self.distance[marked],
+            self.std[marked],
+            self.azimuth[marked],
+            np.take_along_axis(weight, marked, axis=1),
+            None if self.fan is None else self.fan.take(marked),
         )
         sure = np.all(np.isfinite(fit.covariance_m2), axis=(1, 2))
         return LineFit(fit.mean_m[sure], fit.covariance_m2[sure], fit.cost[sure])
