@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +15,8 @@ import tomli_w
 
 from estimator.dataset import open_dataset
 from raytrace.plan.files import load_floorplan, updated
+from service import cli
+from tests.raytrace.image_tracer import images_for_rays
 
 Runner = Callable[..., SimpleNamespace]
 
@@ -28,14 +30,28 @@ def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _images() -> Iterator[None]:
+    """The image method in place of the ray tracer, which the demo and its tests use."""
+    with images_for_rays():
+        yield
+
+
+@pytest.fixture(scope="module")
+def made(plan_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of three shards; not to be changed."""
+    out = tmp_path_factory.mktemp("made") / "room"
+    options = ("--shard-epochs", "3", "--licence", "CC0-1.0", "--quiet")
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["trace", str(plan_file), "--out", str(out), *options])
+    assert not ended.value.code
+    return out
+
+
 @pytest.fixture
-def traced(main: Runner, plan_file: Path, tmp_path: Path) -> Path:
-    """A dataset of three shards."""
-    run = main(
-        "trace", plan_file, "--out", tmp_path / "room", "--shard-epochs", 3, "--licence", "CC0-1.0", "-q"
-    )
-    assert (run.status, run.out, run.err) == (0, "", "")
-    return tmp_path / "room"
+def traced(made: Path, tmp_path: Path) -> Path:
+    """A copy of that dataset."""
+    return Path(shutil.copytree(made, tmp_path / "room"))
 
 
 def files(folder: Path) -> dict[str, str]:

@@ -128,11 +128,12 @@ def test_derivatives_of_kernels_agree_with_complex_steps(name: str) -> None:
             np.testing.assert_allclose(found.curvature[d, e], slope(stepped, e).imag / 1e-20, atol=1e-5)
 
 
+@pytest.mark.parametrize("runs", [80, pytest.param(400, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("name", ARRAYS)
-def test_errors_meet_the_bound_and_the_claims(name: str) -> None:
+def test_errors_meet_the_bound_and_the_claims(name: str, runs: int) -> None:
     """Two paths in one delay cell, told apart by direction: both found, errors at the joint bound."""
     rng = np.random.default_rng([SEED, 3])
-    array, noise, runs = ARRAYS[name], 0.02, 150
+    array, noise = ARRAYS[name], 0.02
     offset = rng.uniform(-0.5, 0.5, (runs, 1)) + np.array([-0.4, 0.4])
     azimuth = array.boresight_rad + offset
     elevation = np.full((runs, 2), 0.25 if name != "ula" else 0.0)
@@ -199,16 +200,17 @@ def test_snapshots_add_up() -> None:
     assert_one(error[close] ** 2 / bound, 0.35)  # near the threshold, second-order terms
 
 
+@pytest.mark.parametrize("runs", [250, pytest.param(600, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("snapshots", [1, 4])
 @pytest.mark.parametrize("name", ["ula", "lying"])
-def test_noise_alone_gives_paths_at_the_stated_rate(name: str, snapshots: int) -> None:
+def test_noise_alone_gives_paths_at_the_stated_rate(name: str, snapshots: int, runs: int) -> None:
     """Over delays and directions, one or several snapshots: at most the stated rate, and not far below.
 
     The box of an array's two axes holds more than the directions there are (a disc in it), and the
     search's grid misses some peaks.
     """
     rng = np.random.default_rng([SEED, 6, snapshots])
-    array, runs, rate = ARRAYS[name], 600, 0.2
+    array, rate = ARRAYS[name], 0.2
     shape = (runs, snapshots, array.elements, 64)
     data = np.sqrt(0.5) * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
     grid = OfdmGrid(28e9, 480e3, 64)

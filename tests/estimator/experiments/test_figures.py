@@ -145,7 +145,8 @@ def test_only_what_exists_can_be_asked_for(make: Make) -> None:
 def test_a_report_is_four_files_that_nothing_overwrites(make: Make, tmp_path: Path) -> None:
     """PNG, SVG, JSON and text; equal requests give equal bytes; a second time is refused."""
     for folder in ("one", "two"):
-        write_report(make("fig9"), tmp_path / folder)
+        report = make("fig9")
+        write_report(report, tmp_path / folder)
     names = sorted(path.name for path in (tmp_path / "one").iterdir())
     assert names == ["fig9.json", "fig9.png", "fig9.svg", "fig9.txt"]
     for name in names:
@@ -153,7 +154,7 @@ def test_a_report_is_four_files_that_nothing_overwrites(make: Make, tmp_path: Pa
     numbers = json.loads((tmp_path / "one" / "fig9.json").read_text(encoding="utf-8"))
     assert {"figure", "summary", "data", "settings"} <= set(numbers)
     with pytest.raises(OutputExistsError):
-        write_report(make("fig9"), tmp_path / "one")
+        write_report(report, tmp_path / "one")
 
 
 def test_reports_have_columns(make: Make) -> None:

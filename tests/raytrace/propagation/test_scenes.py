@@ -31,7 +31,7 @@ def test_scenes_are_sound(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ROOMS)
-@pytest.mark.parametrize("depth", [1, 2])
+@pytest.mark.parametrize("depth", [pytest.param(1, marks=pytest.mark.soak), 2])
 def test_no_path_is_lost(name: str, depth: int) -> None:
     """At forty places along the way: every path of the image method, no other, and as strong as in theory."""
     plan = updated(thinned(load_floorplan(name), 40), {"tracing.depth": depth})
