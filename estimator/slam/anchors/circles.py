@@ -29,6 +29,8 @@ class Circles(NamedTuple):
         Centres, Q = 1 + L + P, metres.
     xx, xy, yy : ndarray, shape (E, Q)
         Their covariances, square metres.
+    reach_m : ndarray, shape (E, Q)
+        From the expected length of a path, whatever its direction, that one may be: metres.
     walls : int
         L: the first 1 + L centres are of up to one bounce.
     """
@@ -38,6 +40,7 @@ class Circles(NamedTuple):
     xx: Array
     xy: Array
     yy: Array
+    reach_m: Array
     walls: int
 
 
@@ -50,7 +53,13 @@ def _mirrored(x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
 
 @compiled
 def image_circles(
-    position: Array, variance: Array, vrp: Array, vrp_covariance: Array, pairs: Index
+    position: Array,
+    variance: Array,
+    widest: Array,
+    vrp: Array,
+    vrp_covariance: Array,
+    pairs: Index,
+    gate_sigma: float,
 ) -> Circles:
     """The circles of some epochs.
 
@@ -60,10 +69,14 @@ def image_circles(
         Agent, gauge frame, metres.
     variance : ndarray, shape (E,)
         Its variance per axis, square metres.
+    widest : ndarray, shape (E,)
+        Largest variance of the lengths of each epoch's paths, square metres.
     vrp, vrp_covariance : ndarray, shapes (L, 2), (L, 2, 2)
         Walls.
     pairs : ndarray of int64, shape (P, 2)
         Pairs of walls, as :func:`met_wall_pairs` gives them.
+    gate_sigma : float
+        Standard deviations that a path may be off.
     """
     epochs, walls = len(position), len(vrp)
     count = 1 + walls + len(pairs)
@@ -83,44 +96,33 @@ def image_circles(
             xx[e, q] = xx[e, 1 + near] + vrp_covariance[far, 0, 0]
             xy[e, q] = xy[e, 1 + near] + vrp_covariance[far, 0, 1]
             yy[e, q] = yy[e, 1 + near] + vrp_covariance[far, 1, 1]
-    return Circles(x, y, xx, xy, yy, walls)
+    reach = np.empty((epochs, count))
+    for e in range(epochs):
+        for q in range(count):
+            across = np.sqrt(0.25 * (xx[e, q] - yy[e, q]) ** 2 + xy[e, q] ** 2)
+            largest = 0.5 * (xx[e, q] + yy[e, q]) + across
+            reach[e, q] = gate_sigma * np.sqrt(max(largest, 0.0) + widest[e]) * (1.0 + 1e-9) + 1e-9
+    return Circles(x, y, xx, xy, yy, reach, walls)
 
 
-@compiled
 def met_wall_pairs(position: Array, vrp: Array, margin: float, limit: int) -> Index:
     """Ordered pairs (P, 2) of walls over which a path can come from anywhere to one of the positions (E, 2).
 
     From the anchor over the near wall, then the far one: the agent's image in the far wall has to stand on
-    the agent's side of the near one, give or take ``margin`` metres, or the ray would leave the far wall
-    away from the near one. If there are more than ``limit``, those whose paths can be the shortest: none is
+    the agent's side of the near one, give or take ``margin`` metres, or the ray would leave the far wall away
+    from the near one. If there are more than ``limit``, those whose paths can be the shortest: none is
     shorter than the way from that image to the near wall.
     """
-    walls, epochs = len(vrp), len(position)
-    pairs = np.empty((walls * walls, 2), dtype=np.int64)
-    least = np.empty(walls * walls)
-    count = 0
-    for near in range(walls):
-        size = np.sqrt(vrp[near, 0] ** 2 + vrp[near, 1] ** 2)
-        for far in range(walls):
-            if far == near:
-                continue
-            best = np.inf
-            for e in range(epochs):
-                x, y = position[e, 0], position[e, 1]
-                side = (x * vrp[near, 0] + y * vrp[near, 1]) / size - 0.5 * size
-                ix, iy = _mirrored(x, y, vrp[far, 0], vrp[far, 1])
-                image = (ix * vrp[near, 0] + iy * vrp[near, 1]) / size - 0.5 * size
-                towards = image if side > 0.0 else -image
-                if towards > -margin:
-                    best = min(best, max(towards, 0.0))
-            if best < np.inf:
-                pairs[count, 0], pairs[count, 1], least[count] = near, far, best
-                count += 1
-    pairs, least = pairs[:count], least[:count]
-    if count > limit:
-        chosen = np.sort(np.argsort(least, kind="mergesort")[:limit])
-        return pairs[chosen]
-    return pairs.copy()
+    size = np.hypot(vrp[:, 0], vrp[:, 1])
+    normal = vrp / size[:, None]
+    side = position @ normal.T - 0.5 * size  # (E, L)
+    image = side[:, :, None] - 2.0 * (normal @ normal.T) * side[:, None, :]  # (E, near, far)
+    towards = np.where(side[:, :, None] > 0.0, image, -image).max(axis=0)
+    near, far = np.nonzero((towards > -margin) & ~np.eye(len(vrp), dtype=bool))
+    if near.size > limit:
+        chosen = np.sort(np.argsort(np.maximum(towards[near, far], 0.0), kind="stable")[:limit])
+        near, far = near[chosen], far[chosen]
+    return np.stack([near, far], axis=1)
 
 
 @compiled

@@ -86,12 +86,15 @@ class AnchorSearchConfig:
         Paths of an epoch that may explain one circle, the nearest first.
     max_pairs : int
         Pairs of circles that are intersected for one clock bias (40 paths and four walls).
-    max_pairs_in_all : int
-        The same of all clock biases and searches of an epoch.
+    max_pair_circles : int
+        The same of all clock biases and searches of an epoch, times the circles of up to one bounce that each
+        intersection is compared with.
     max_scored, max_scored_in_all : int
-        Intersections that are scored with double bounces, of one search and of all of an epoch.
+        Intersections that are scored with double bounces, of one clock bias and of all searches of an epoch.
     max_refined, max_refined_in_all : int
         Places that are refined and weighed, of one clock bias and of all searches of an epoch.
+    max_refined_circles : int
+        These places times the circles of all epochs that each is compared with.
     max_grid_searches : int
         Searches over clock biases an epoch; other anchors of unknown clock wait for a later one.
     labelling_gap_m : float
@@ -101,10 +104,10 @@ class AnchorSearchConfig:
         square in units of ``labelling_gap_m``.
     max_labellings : int
         Labellings kept of each place.
-    max_labelling_nodes : int
-        Partial labellings looked at for each place.
-    max_labelled : int
-        Hypotheses times places times labellings that are weighed when an anchor is located, in all of an
+    max_labelling_nodes, max_labelling_nodes_in_all : int
+        Partial labellings looked at for one place, and for all places of an epoch's searches.
+    max_labelled_features : int
+        Hypotheses times labellings times features that are weighed when anchors are located, in all of an
         epoch.
     max_branch_floats : int
         Covariance entries of the hypotheses made when anchors are located, in all of an epoch (8 byte each).
@@ -144,19 +147,21 @@ class AnchorSearchConfig:
     max_wall_pairs: int = 64
     max_gated: int = 8
     max_pairs: int = 20_000
-    max_pairs_in_all: int = 80_000
-    max_scored: int = 4_000
-    max_scored_in_all: int = 16_000
+    max_pair_circles: int = 400_000
+    max_scored: int = 1_000
+    max_scored_in_all: int = 8_000
     max_refined: int = 60
     max_refined_in_all: int = 600
+    max_refined_circles: int = 48_000
     max_grid_searches: int = 2
     labelling_gap_m: float = 3.0
     labelling_slack: float = 1.2
     max_labellings: int = 24
     max_labelling_nodes: int = 20_000
-    max_labelled: int = 40_000
-    max_branch_floats: int = 2_400_000
-    min_branches: int = 24
+    max_labelling_nodes_in_all: int = 400_000
+    max_labelled_features: int = 200_000
+    max_branch_floats: int = 4_800_000
+    min_branches: int = 4
 
     def __post_init__(self) -> None:
         for entry in fields(self):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimator.compiled import compiled
 from estimator.slam.anchors.circles import Circles
-from estimator.slam.anchors.likelihood import Model, Place, gate_circle, is_behind, walls_between
+from estimator.slam.anchors.likelihood import Gated, Model, Place, gate_epoch, is_behind, walls_between
 from estimator.slam.anchors.observations import Observations
 
 __all__ = ["ROUNDS", "associate_pairs", "weigh"]
@@ -89,9 +89,9 @@ def weigh(
     information: tuple[float, float, float],
     circles: Circles,
     seen: Observations,
-    widest: Array,
     vrp: Array,
     model: Model,
+    out: Gated,
 ) -> tuple[float, int, int]:
     """Log evidence of a place, and the numbers of features of up to one bounce that are explained.
 
@@ -101,7 +101,7 @@ def weigh(
         A refined place.
     information : tuple of float
         xx, xy, yy of the information on it: Laplace's approximation integrates over the place.
-    circles, seen, widest, vrp, model
+    circles, seen, vrp, model, out : NamedTuples and arrays
         As for :func:`estimator.slam.anchors.refinement.refine`.
 
     Returns
@@ -116,10 +116,9 @@ def weigh(
     epochs, features = circles.x.shape
     pd = model.detection_probability
     most = epochs * features * model.max_gated
-    gate_path, gate_relative = np.empty(model.max_gated, dtype=np.int64), np.empty(model.max_gated)
     start = np.zeros(epochs + 1, dtype=np.int64)
     feature, path, relative = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64), np.empty(most)
-    slot = np.full(features, -1, dtype=np.int64)  # of the features that any path may show, in order
+    slot = np.zeros(features, dtype=np.int64) - 1  # of the features that any path may show, in order
     shown = np.empty(features, dtype=np.int64)
     active, n, total = 0, 0, 0.0
     silent = (1.0 - pd) ** epochs
@@ -127,26 +126,22 @@ def weigh(
     for q in range(1, 1 + circles.walls):
         behind[q] = is_behind(place.x, place.y, vrp[q - 1, 0], vrp[q - 1, 1])
     for e in range(epochs):
-        for q in range(features):
-            if behind[q]:
-                continue
-            count = gate_circle(place, circles, seen, widest, e, q, model, gate_path, gate_relative)
-            if count and slot[q] < 0:
-                slot[q] = active
-                shown[active] = q
-                active += 1
-            for i in range(count):
-                feature[n], path[n], relative[n] = slot[q], gate_path[i], gate_relative[i]
-                n += 1
+        if gate_epoch(place, circles, seen, e, 0, features, vrp, model, out):
+            for q in range(features):
+                if out.begin[q] < out.begin[q + 1] and slot[q] < 0:
+                    slot[q] = active
+                    shown[active] = q
+                    active += 1
+                for i in range(out.begin[q], out.begin[q + 1]):
+                    feature[n], path[n], relative[n] = slot[q], out.path[i], out.relative[i]
+                    n += 1
         start[e + 1] = n
     for q in range(features):
         if slot[q] < 0 and not behind[q]:
-            prior = model.visibility[0 if q == 0 else (1 if q <= circles.walls else 2)]
-            total += np.log(1.0 - prior + prior * silent)
+            total += np.log(1.0 - model.visibility[q] + model.visibility[q] * silent)
     prior = np.empty(active)
     for f in range(active):
-        q = shown[f]
-        prior[f] = model.visibility[0 if q == 0 else (1 if q <= circles.walls else 2)]
+        prior[f] = model.visibility[shown[f]]
     log_ratio = np.zeros((epochs, active))  # of being visible, over not
     contest, often, sure = np.zeros(epochs), np.zeros(active), np.zeros(active)
     odds, forth, back, told, mass = np.empty(n), np.empty(n), np.empty(n), np.empty(active), np.empty(active)

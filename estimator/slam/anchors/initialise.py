@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.slam.anchors.branching import BranchLimits, PlacePaths, branch_hypotheses
+from estimator.slam.anchors.branching import branch_hypotheses
 from estimator.slam.anchors.config import AnchorSearchConfig
+from estimator.slam.anchors.joint_update import BranchLimits, PlacePaths
 from estimator.slam.anchors.labellings import labellings
 from estimator.slam.anchors.likelihood import walls_between
 from estimator.slam.anchors.observations import NoiseModel, RecentPaths, RecentTrack, observations_of
@@ -170,8 +171,7 @@ def locate_anchors(hypotheses: Hypotheses, given: SearchInput, config: AnchorSea
         and (not hypotheses.located[:, k].all() or _doubtful(hypotheses, given, k, config))
     ]
     budget = _Budget(max(len(due), 1), config.max_grid_searches)
-    turn = given.epoch % budget.anchors if len(due) > budget.grids else 0
-    for k in due[turn:] + due[:turn]:
+    for k in _in_turn(due, hypotheses, given, config):
         waiting = np.flatnonzero(~hypotheses.located[:, k])
         if waiting.size:
             groups = _clock_groups(hypotheses, waiting, given.layout.bias(k), config)
@@ -189,6 +189,18 @@ def locate_anchors(hypotheses: Hypotheses, given: SearchInput, config: AnchorSea
             if hypotheses.located.any():
                 break
     return hypotheses
+
+
+def _in_turn(
+    due: list[int], hypotheses: Hypotheses, given: SearchInput, config: AnchorSearchConfig
+) -> list[int]:
+    """The anchors that are due; those of unknown clock, of which only some can be searched, take turns."""
+    best, bias = hypotheses.best, np.array([given.layout.bias(k) for k in due], dtype=np.int64)
+    unknown = hypotheses.covariance[best, bias, bias] >= config.clock_step_m**2
+    if np.count_nonzero(unknown) <= config.max_grid_searches:
+        return due
+    turn = given.epoch * config.max_grid_searches % len(due)
+    return due[turn:] + due[:turn]
 
 
 def _doubtful(hypotheses: Hypotheses, given: SearchInput, k: int, config: AnchorSearchConfig) -> bool:
@@ -242,9 +254,11 @@ def _searched(
     mean, covariance = hypotheses.mean[first], hypotheses.covariance[first]
     b = layout.bias(k)
     cells, extra = _cells(float(mean[b]), float(np.sqrt(covariance[b, b])), config)
+    share = budget.anchors * groups
     if len(cells.bias_m) > 1:
         if budget.grids == 0:
             return None
+        share = min(budget.anchors, config.max_grid_searches) * groups
         budget.grids -= 1
     slots = np.flatnonzero(hypotheses.present[first] & given.confirmed)
     vrp = mean[layout.walls].reshape(-1, 2)[slots] if slots.size else np.empty((0, 2))
@@ -254,8 +268,8 @@ def _searched(
     variance, gain = 0.5 * float(np.trace(covariance[:2, :2])), float(given.gain_offset_db[k])
     seen = observations_of(k, mean[:2], variance, now, given.track, given.heard, gain, given.noise, config)
     scene = scene_of(seen, vrp, np.array(spread).reshape(-1, 2, 2), given.noise, config, extra)
-    share = budget.anchors * groups
-    found = find_places(scene, cells, _limits(share, config), given.prune_nats, config)
+    limits = _limits(share, len(cells.bias_m), scene, config)
+    found = find_places(scene, cells, limits, given.prune_nats, config)
     enough = (found.matches >= config.start_matches - (len(seen.paths) > 1)) & (
         found.fresh >= config.start_fresh
     )
@@ -280,14 +294,16 @@ def _cells(mean: float, std: float, config: AnchorSearchConfig) -> tuple[Cells, 
     return Cells(mean + shift, np.zeros(shift.size), log_prior), step**2 / 12.0
 
 
-def _limits(share: int, config: AnchorSearchConfig) -> SearchLimits:
-    """What one of ``share`` searches may cost."""
+def _limits(share: int, cells: int, scene: Scene, config: AnchorSearchConfig) -> SearchLimits:
+    """What one of ``share`` searches of so many cells may cost."""
+    refined = min(config.max_refined_in_all, config.max_refined_circles // scene.circles.x.size)
+    walls = 1 + scene.circles.walls
     return SearchLimits(
         config.max_pairs,
-        max(config.max_pairs_in_all // share, 1),
-        max(min(config.max_scored, config.max_scored_in_all // share), 1),
+        max(config.max_pair_circles // (share * walls), 1),
+        max(min(config.max_scored * cells, config.max_scored_in_all // share), 1),
         config.max_refined,
-        max(config.max_refined_in_all // share, 1),
+        max(refined // share, 1),
     )
 
 
@@ -324,15 +340,15 @@ def _branched(
     if not best > rest + margin:
         return hypotheses
     chosen = [each for each in made if each.enough.any()]
-    size = given.layout.size**2 * budget.anchors * len(chosen)
+    share = budget.anchors * len(chosen)
     limits = BranchLimits(
         given.prune_nats,
-        max(config.max_labelled // (budget.anchors * len(chosen)), config.max_labellings),
-        max(config.max_branch_floats // size, config.min_branches),
+        config.max_labelled_features // (share * (1 + given.layout.slots)),
+        max(config.max_branch_floats // (share * given.layout.size**2), config.min_branches),
     )
     grown = hypotheses
     for each in chosen:
-        grown = grown.joined(_branches(hypotheses, each, given, limits, config))
+        grown = grown.joined(_branches(hypotheses, each, given, limits, share, config))
     return given.reduce(grown)
 
 
@@ -341,19 +357,22 @@ def _branches(
     search: _Search,
     given: SearchInput,
     limits: BranchLimits,
+    share: int,
     config: AnchorSearchConfig,
 ) -> Hypotheses:
-    """The hypotheses that a search makes."""
+    """The hypotheses that one of ``share`` searches makes."""
     k, noise = search.anchor, given.noise
     found = search.found.take(np.flatnonzero(search.enough))
     valid = given.paths.valid[k]
     length = given.paths.length_m[k][valid]
-    candidate, label = labellings(found, search.scene, length, config)
+    nodes = min(config.max_labelling_nodes, config.max_labelling_nodes_in_all // (share * len(found)))
+    candidate, label = labellings(found, search.scene, length, nodes, config)
     places = PlacePaths(
         found.mean_m,
         found.bias_m,
         np.full(len(found), config.rival_log_prior) if search.rival else found.log_evidence,
         candidate,
+        np.searchsorted(candidate, np.arange(len(found) + 1)),
         label,
         np.concatenate([[-1], search.slots]),
         length,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from estimator.compiled import compiled
 from estimator.slam.anchors.circles import Circles
 from estimator.slam.anchors.config import AnchorSearchConfig
-from estimator.slam.anchors.likelihood import Place, expected_length, is_behind
+from estimator.slam.anchors.likelihood import Place, is_behind
 from estimator.slam.anchors.search import Candidates, Scene
 
 __all__ = ["labellings", "labellings_at"]
@@ -23,7 +23,7 @@ Index = NDArray[np.int64]
 
 
 def labellings(
-    found: Candidates, scene: Scene, length_m: Array, config: AnchorSearchConfig
+    found: Candidates, scene: Scene, length_m: Array, nodes: int, config: AnchorSearchConfig
 ) -> tuple[Index, Index]:
     """Labels that the present epoch's paths may have, seen from each candidate place.
 
@@ -35,6 +35,8 @@ def labellings(
         Where they were found.
     length_m : ndarray, shape (M,)
         Path lengths of the present epoch, in the order that labels refer to.
+    nodes : int
+        Partial labellings looked at for each place, at most; enough for one labelling are.
     config : AnchorSearchConfig
         Limits.
 
@@ -61,7 +63,7 @@ def labellings(
             config.labelling_gap_m,
             config.labelling_slack,
             config.max_labellings,
-            config.max_labelling_nodes,
+            max(nodes, 2 * scene.circles.walls + 2),
         )
         candidate.append(np.full(len(own), s))
         label.append(own)
@@ -74,12 +76,14 @@ def _options(
 ) -> tuple[Index, Index, Array]:
     """What each circle of the last epoch may take, cheapest first: how many, which paths, at what cost."""
     e, count, paths = len(circles.x) - 1, 1 + circles.walls, len(length)
-    size = np.ones(count, dtype=np.int64)
-    path, cost = np.full((count, paths + 1), -1, dtype=np.int64), np.zeros((count, paths + 1))
+    size = np.empty(count, dtype=np.int64)
+    path, cost = np.empty((count, paths + 1), dtype=np.int64), np.empty((count, paths + 1))
     for c in range(count):
+        size[c], path[c, 0], cost[c, 0] = 1, -1, 0.0
         if c > 0 and is_behind(place.x, place.y, vrp[c - 1, 0], vrp[c - 1, 1]):
             continue
-        expected = expected_length(place, circles, e, c)[0]
+        dx, dy = place.x - circles.x[e, c], place.y - circles.y[e, c]
+        expected = place.bias + np.sqrt(dx * dx + dy * dy + place.height2)
         for j in range(paths):
             gap = length[j] - expected
             if not abs(gap) < farthest:
@@ -128,7 +132,8 @@ def labellings_at(
     rest = np.zeros(count + 1)  # least that the circles from each on can add
     for c in range(count - 1, -1, -1):
         rest[c] = rest[c + 1] + cost[c, 0]
-    best, label = np.full(most, np.inf), np.full((most, count), -1, dtype=np.int64)
+    best, label = np.empty(most), np.empty((most, count), dtype=np.int64)
+    best[:] = np.inf
     used = np.zeros(len(length), dtype=np.bool_)
     option, total = np.zeros(count + 1, dtype=np.int64), np.zeros(count + 1)
     kept, looked, c = 0, 0, 0
@@ -138,7 +143,9 @@ def labellings_at(
             if total[c] < limit:
                 i = min(kept, most - 1)
                 while i > 0 and best[i - 1] > total[c]:
-                    best[i], label[i] = best[i - 1], label[i - 1]
+                    best[i] = best[i - 1]
+                    for d in range(count):
+                        label[i, d] = label[i - 1, d]
                     i -= 1
                 best[i] = total[c]
                 for d in range(count):
@@ -166,4 +173,4 @@ def labellings_at(
             used[path[c, option[c] - 1]] = False
     while kept > 1 and not best[kept - 1] < best[0] + slack:
         kept -= 1
-    return label[:kept].copy()
+    return label[:kept]

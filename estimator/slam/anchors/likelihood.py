@@ -16,7 +16,7 @@ from estimator.slam.anchors.circles import Circles
 from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.anchors.observations import NoiseModel, Observations
 
-__all__ = ["Model", "Place", "expected_length", "gate_circle", "is_behind", "model_of", "walls_between"]
+__all__ = ["Gated", "Model", "Place", "gate_epoch", "is_behind", "model_of", "room_for", "walls_between"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -33,8 +33,8 @@ class Model(NamedTuple):
         Clutter, per metre.
     gate_sigma : float
         Gate, standard deviations.
-    visibility : ndarray, shape (3,)
-        Prior probability that a path of 0, 1, 2 bounces is there.
+    visibility : ndarray, shape (Q,)
+        Prior probability that the path of each circle is there.
     sure_probability, behind_wall_log_prior : float
         As in :class:`AnchorSearchConfig`.
     region_m : float
@@ -53,14 +53,15 @@ class Model(NamedTuple):
     max_gated: int
 
 
-def model_of(noise: NoiseModel, config: AnchorSearchConfig) -> Model:
+def model_of(circles: Circles, noise: NoiseModel, config: AnchorSearchConfig) -> Model:
     """The numbers of a noise model and a configuration."""
     prior = config.search_visibility_los, config.search_visibility_wall, config.search_visibility_pair
+    count = 1, circles.walls, circles.x.shape[1] - 1 - circles.walls
     return Model(
         float(noise.detection_probability),
         float(noise.clutter_density),
         float(config.search_gate_sigma),
-        np.array(prior),
+        np.repeat(prior, count),
         float(config.sure_probability),
         float(config.behind_wall_log_prior),
         float(noise.region_m),
@@ -87,11 +88,49 @@ class Place(NamedTuple):
     height2: float
 
 
+class Gated(NamedTuple):
+    """Room for the gated pairs of a place and an epoch, Q circles and N pairs at most.
+
+    Parameters
+    ----------
+    begin : ndarray of int64, shape (Q + 1,)
+        The pairs of circle ``q`` are ``begin[q]`` to ``begin[q + 1]``.
+    path : ndarray of int64, shape (N,)
+        Their paths.
+    relative : ndarray, shape (N,)
+        Their likelihoods over clutter's.
+    residual, information : ndarray, shape (N,)
+        Length beyond the expected one, metres, and one over its variance.
+    expected : ndarray, shape (Q,)
+        Expected lengths, metres.
+    ux, uy : ndarray, shape (Q,)
+        Derivative of the expected length by the place; of circles that have pairs.
+    """
+
+    begin: Index
+    path: Index
+    relative: Array
+    residual: Array
+    information: Array
+    expected: Array
+    ux: Array
+    uy: Array
+
+
+@compiled
+def room_for(circles: int, most: int) -> Gated:
+    """Room for the pairs of so many circles, ``most`` each."""
+    size = circles * most
+    begin, path = np.zeros(circles + 1, dtype=np.int64), np.empty(size, dtype=np.int64)
+    relative, residual, information = np.empty(size), np.empty(size), np.empty(size)
+    expected, ux, uy = np.empty(circles), np.empty(circles), np.empty(circles)
+    return Gated(begin, path, relative, residual, information, expected, ux, uy)
+
+
 @compiled
 def is_behind(x: float, y: float, vx: float, vy: float) -> bool:
     """Whether a place is not on RP's side of the wall of a VRP."""
-    size = np.sqrt(vx * vx + vy * vy)
-    return bool((x * vx + y * vy) / size - 0.5 * size >= 0.0)
+    return bool(2.0 * (x * vx + y * vy) >= vx * vx + vy * vy)
 
 
 @compiled
@@ -105,62 +144,57 @@ def walls_between(x: float, y: float, vrp: Array) -> int:
 
 
 @compiled
-def expected_length(place: Place, circles: Circles, e: int, q: int) -> tuple[float, float, float, float]:
-    """Length of the path of circle ``q`` of epoch ``e``, its derivative by the place, and its variance.
-
-    The variance is that of the circle's centre in this direction.
-    """
-    dx, dy = place.x - circles.x[e, q], place.y - circles.y[e, q]
-    slant = max(np.sqrt(dx * dx + dy * dy + place.height2), 1e-6)
-    ux, uy = dx / slant, dy / slant
-    variance = ux * (ux * circles.xx[e, q] + 2.0 * uy * circles.xy[e, q]) + uy * uy * circles.yy[e, q]
-    return place.bias + slant, ux, uy, variance
-
-
-@compiled
-def gate_circle(
+def gate_epoch(
     place: Place,
     circles: Circles,
     seen: Observations,
-    widest: Array,
     e: int,
-    q: int,
+    first: int,
+    last: int,
+    vrp: Array,
     model: Model,
-    path: Index,
-    relative: Array,
+    out: Gated,
 ) -> int:
-    """The paths that circle ``q`` of epoch ``e`` may explain: how many, their numbers and likelihoods.
+    """The paths of epoch ``e`` that circles ``first`` to ``last`` may explain, put into ``out``; how many.
 
-    ``widest`` (E,) is the largest variance of an epoch's paths. Numbers and likelihoods, relative to
-    clutter's, are put at the beginning of ``path`` and ``relative`` (``max_gated``,).
+    A circle over a wall (L, 2) behind which the place stands explains none.
     """
-    expected, _, _, variance = expected_length(place, circles, e, q)
-    reach = model.gate_sigma * np.sqrt(variance + widest[e])
-    low, high = 0, seen.paths[e]
-    while low < high:  # the first path that is not too short
-        middle = (low + high) // 2
-        if seen.length_m[e, middle] < expected - reach:
-            low = middle + 1
-        else:
-            high = middle
-    end = low
-    while end < seen.paths[e] and seen.length_m[e, end] <= expected + reach:
-        end += 1
-        if end - low > model.max_gated:  # keep those nearest to the expected length
-            if expected - seen.length_m[e, low] >= seen.length_m[e, end - 1] - expected:
-                low += 1
+    count, paths, gate2 = 0, seen.paths[e], model.gate_sigma * model.gate_sigma
+    scale = 1.0 / (np.sqrt(2.0 * np.pi) * model.clutter_density)
+    x, y, expected, last_bucket = circles.x[e], circles.y[e], out.expected, seen.first.shape[1] - 1
+    for q in range(first, last):
+        dx, dy = place.x - x[q], place.y - y[q]
+        expected[q] = place.bias + max(np.sqrt(dx * dx + dy * dy + place.height2), 1e-6)
+    for q in range(first, last):
+        out.begin[q] = count
+        low_m, high_m = expected[q] - circles.reach_m[e, q], expected[q] + circles.reach_m[e, q]
+        low = seen.first[e, int(min(max(low_m * seen.buckets_per_m, 0.0), last_bucket))]
+        while low < paths and seen.length_m[e, low] < low_m:
+            low += 1
+        if low == paths or seen.length_m[e, low] > high_m:
+            continue
+        if 0 < q <= circles.walls and is_behind(place.x, place.y, vrp[q - 1, 0], vrp[q - 1, 1]):
+            continue
+        high = low + 1
+        while high < paths and seen.length_m[e, high] <= high_m:
+            if high - low < model.max_gated:
+                high += 1
+            elif expected[q] - seen.length_m[e, low] > seen.length_m[e, high] - expected[q]:
+                low, high = low + 1, high + 1  # keep those nearest to the expected length
             else:
-                end -= 1
                 break
-    count = 0
-    for j in range(low, end):
-        residual = seen.length_m[e, j] - expected
-        total = variance + seen.length_variance_m2[e, j]
-        square = residual * residual / total
-        if square < model.gate_sigma * model.gate_sigma:
-            density = np.exp(-0.5 * square) / np.sqrt(2.0 * np.pi * total)
-            ratio = seen.direct_ratio[e, j] if q == 0 else 1.0
-            path[count] = j
-            relative[count] = density / model.clutter_density * ratio
-            count += 1
+        inverse = 1.0 / (expected[q] - place.bias)
+        ux, uy = (place.x - x[q]) * inverse, (place.y - y[q]) * inverse
+        spread = ux * (ux * circles.xx[e, q] + 2.0 * uy * circles.xy[e, q]) + uy * uy * circles.yy[e, q]
+        out.ux[q], out.uy[q] = ux, uy
+        for j in range(low, high):
+            residual = seen.length_m[e, j] - expected[q]
+            information = 1.0 / (spread + seen.length_variance_m2[e, j])
+            square = residual * residual * information
+            if square < gate2:
+                ratio = seen.direct_ratio[e, j] if q == 0 else 1.0
+                out.path[count], out.residual[count], out.information[count] = j, residual, information
+                out.relative[count] = scale * ratio * np.exp(-0.5 * square) * np.sqrt(information)
+                count += 1
+    out.begin[last] = count
     return count

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -9,10 +10,11 @@ from numpy.typing import NDArray
 
 from estimator.slam.anchors.config import AnchorSearchConfig
 
-__all__ = ["NoiseModel", "Observations", "RecentPaths", "RecentTrack", "observations_of"]
+__all__ = ["NoiseModel", "Observations", "RecentPaths", "RecentTrack", "gathered", "observations_of"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+_BUCKETS = 256  # of the table by which paths are found: about as many as there may be paths
 _LEAST_LOSS_RATIO = 1e-3  # numerical floor of the likelihood ratio of a loss
 
 
@@ -106,6 +108,10 @@ class Observations(NamedTuple):
         Their variances.
     direct_ratio : ndarray, shape (E, M)
         Likelihood ratio of the path's loss in line of sight, against any other path; 1 where unknown.
+    first : ndarray of int64, shape (E, B)
+        The first path that is no shorter than ``b / buckets_per_m``.
+    buckets_per_m : float
+        Their number on a metre.
     """
 
     position_m: Array
@@ -114,11 +120,8 @@ class Observations(NamedTuple):
     length_m: Array
     length_variance_m2: Array
     direct_ratio: Array
-
-    @property
-    def longest_m(self) -> float:
-        """The longest path."""
-        return float(np.max(self.length_m, initial=0.0, where=np.isfinite(self.length_m)))
+    first: Index
+    buckets_per_m: float
 
 
 def observations_of(
@@ -158,17 +161,28 @@ def observations_of(
             positions.append(track.position_m[i])
             variances.append(float(track.std_m[i]) ** 2)
             parts.append((heard.length_m[old], heard.std_m[old], heard.excess_loss_db[old]))
-    count = np.array([len(part[0]) for part in parts])[::-1]
-    shape = len(parts), max(int(count.max()), 1)
+    epochs = []
+    for lengths, std, loss in reversed(parts):
+        ratio = _direct_ratio(loss - gain_offset_db, config)
+        epochs.append((lengths, np.maximum(std, noise.range_std_m) ** 2, ratio))
+    return gathered(np.array(positions[::-1]), np.array(variances[::-1]), epochs)
+
+
+def gathered(
+    position_m: Array, variance_m2: Array, epochs: Sequence[tuple[Array, Array, Array]]
+) -> Observations:
+    """Observations at some positions (E, 2), of lengths, their variances and direct ratios."""
+    count = np.array([len(lengths) for lengths, _, _ in epochs])
+    shape = len(epochs), max(int(count.max()), 1)
     length, variance, ratio = np.full(shape, np.inf), np.ones(shape), np.ones(shape)
-    for e, (lengths, std, loss) in enumerate(reversed(parts)):
-        order = np.argsort(lengths, kind="stable")
-        length[e, : order.size] = lengths[order]
-        variance[e, : order.size] = np.maximum(std[order], noise.range_std_m) ** 2
-        ratio[e, : order.size] = _direct_ratio(loss[order] - gain_offset_db, config)
-    return Observations(
-        np.array(positions[::-1]), np.array(variances[::-1]), count.copy(), length, variance, ratio
-    )
+    for e, columns in enumerate(epochs):
+        order = np.argsort(columns[0], kind="stable")
+        for table, column in zip((length, variance, ratio), columns, strict=True):
+            table[e, : order.size] = column[order]
+    longest = np.max(length, initial=1.0, where=np.isfinite(length))
+    edges = longest / _BUCKETS * np.arange(_BUCKETS)
+    first = np.array([np.searchsorted(lengths, edges) for lengths in length])
+    return Observations(position_m, variance_m2, count, length, variance, ratio, first, _BUCKETS / longest)
 
 
 def _direct_ratio(loss_db: Array, config: AnchorSearchConfig) -> Array:

@@ -16,10 +16,10 @@ from estimator.compiled import compiled
 from estimator.slam.anchors.circles import Circles, image_circles, met_wall_pairs
 from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.anchors.evidence import weigh
-from estimator.slam.anchors.likelihood import Model, Place, model_of
+from estimator.slam.anchors.likelihood import Model, Place, model_of, room_for
 from estimator.slam.anchors.observations import NoiseModel, Observations
 from estimator.slam.anchors.refinement import refine
-from estimator.slam.anchors.seeds import Cells, SearchLimits, choose_seeds
+from estimator.slam.anchors.seeds import Cells, SearchLimits, apart, choose_seeds
 
 __all__ = ["Candidates", "Scene", "evidence_at", "find_places", "known_cell", "scene_of"]
 
@@ -37,8 +37,6 @@ class Scene:
         Centres of all epochs.
     seen : Observations
         The anchor's paths.
-    widest_m2 : ndarray, shape (E,)
-        Largest variance of each epoch's paths.
     vrp_m : ndarray, shape (L, 2)
         Walls: an anchor is heard over one only from RP's side.
     model : Model
@@ -47,7 +45,6 @@ class Scene:
 
     circles: Circles
     seen: Observations
-    widest_m2: Array
     vrp_m: Array
     model: Model
 
@@ -113,9 +110,11 @@ def scene_of(
     """
     vrp, spread = np.ascontiguousarray(vrp_m), np.ascontiguousarray(vrp_covariance_m2)
     pairs = met_wall_pairs(seen.position_m, vrp, config.wall_pair_margin_m, config.max_wall_pairs)
-    circles = image_circles(seen.position_m, seen.variance_m2, vrp, spread, pairs)
-    seen = seen._replace(length_variance_m2=seen.length_variance_m2 + extra_variance_m2)
-    return Scene(circles, seen, seen.length_variance_m2.max(axis=1), vrp, model_of(noise, config))
+    variance = seen.length_variance_m2 + extra_variance_m2
+    widest, gate = variance.max(axis=1), float(config.search_gate_sigma)
+    circles = image_circles(seen.position_m, seen.variance_m2, widest, vrp, spread, pairs, gate)
+    seen = seen._replace(length_variance_m2=variance)
+    return Scene(circles, seen, vrp, model_of(circles, noise, config))
 
 
 def known_cell(bias_m: float, height2_m2: float = 0.0) -> Cells:
@@ -144,7 +143,6 @@ def find_places(
     x, y, cell = choose_seeds(
         scene.circles,
         scene.seen,
-        scene.widest_m2,
         cells,
         scene.vrp_m,
         scene.model,
@@ -154,13 +152,14 @@ def find_places(
     )
     start = np.stack([x, y, cells.bias_m[cell], cells.height2_m2[cell]], axis=1)
     points, spread, total, matches, fresh = _settled(
-        start, scene.circles, scene.seen, scene.widest_m2, scene.vrp_m, scene.model
+        start, scene.circles, scene.seen, scene.vrp_m, scene.model
     )
     total = total + cells.log_prior[cell]
     inside = np.all(np.isfinite(points), axis=1) & np.isfinite(total)
     inside &= np.hypot(points[:, 0], points[:, 1]) < 2.0 * scene.model.region_m
-    index = np.flatnonzero(inside)
-    kept = index[_distinct(points[index], total[index], config.place_radius_m, config.start_attempts)]
+    order = np.argsort(np.where(inside, -total, np.inf), kind="stable")[: np.count_nonzero(inside)]
+    spot, most = np.column_stack([points, start[:, 2]]), config.start_attempts
+    kept = apart(spot, order, config.place_radius_m, np.zeros(len(spot), dtype=np.int64), most, most)
     kept = kept[total[kept] > total[kept].max(initial=-np.inf) - prune_nats]
     bias, height2 = start[kept, 2], start[kept, 3]
     return Candidates(points[kept], spread[kept], total[kept], matches[kept], fresh[kept], bias, height2)
@@ -170,43 +169,25 @@ def evidence_at(scene: Scene, points_m: Array, bias_m: float, height2_m2: float 
     """Log evidence (S,) of the anchor near ``points_m`` (S, 2), on the scale of :func:`find_places`."""
     start = np.empty((len(points_m), 4))
     start[:, :2], start[:, 2], start[:, 3] = points_m, bias_m, height2_m2
-    return _settled(start, scene.circles, scene.seen, scene.widest_m2, scene.vrp_m, scene.model)[2]
+    return _settled(start, scene.circles, scene.seen, scene.vrp_m, scene.model)[2]
 
 
 @compiled
 def _settled(
-    start: Array, circles: Circles, seen: Observations, widest: Array, vrp: Array, model: Model
+    start: Array, circles: Circles, seen: Observations, vrp: Array, model: Model
 ) -> tuple[Array, Array, Array, Index, Index]:
     """Refined places (S, 2), their covariances, log evidence and matches, from ``start`` (S, 4)."""
     count = len(start)
     points, spread, total = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty(count)
     matches, fresh = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    out = room_for(circles.x.shape[1], model.max_gated)
     for s in range(count):
         first = Place(start[s, 0], start[s, 1], start[s, 2], start[s, 3])
-        x, y, xx, xy, yy = refine(first, circles, seen, widest, vrp, model)
+        x, y, xx, xy, yy = refine(first, circles, seen, vrp, model, out)
         points[s, 0], points[s, 1] = x, y
         determinant = xx * yy - xy * xy
         spread[s, 0, 0], spread[s, 1, 1] = yy / determinant, xx / determinant
         spread[s, 0, 1] = spread[s, 1, 0] = -xy / determinant
         place = Place(x, y, first.bias, first.height2)
-        total[s], matches[s], fresh[s] = weigh(place, (xx, xy, yy), circles, seen, widest, vrp, model)
+        total[s], matches[s], fresh[s] = weigh(place, (xx, xy, yy), circles, seen, vrp, model, out)
     return points, spread, total, matches, fresh
-
-
-@compiled
-def _distinct(points: Array, score: Array, radius: float, limit: int) -> Index:
-    """Indices of the best points (S, 2) further than ``radius`` from a better one, at most ``limit``."""
-    order = np.argsort(-score, kind="mergesort")
-    kept = np.empty(min(len(points), limit), dtype=np.int64)
-    count = 0
-    for i in order:
-        if count == limit:
-            break
-        alone = True
-        for j in range(count):
-            dx, dy = points[kept[j], 0] - points[i, 0], points[kept[j], 1] - points[i, 1]
-            alone = alone and dx * dx + dy * dy > radius * radius
-        if alone:
-            kept[count] = i
-            count += 1
-    return kept[:count]

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from estimator.compiled import compiled
 from estimator.slam.anchors.circles import Circles, intersect
-from estimator.slam.anchors.likelihood import Model, Place, gate_circle, is_behind
+from estimator.slam.anchors.likelihood import Model, Place, gate_epoch, is_behind, room_for
 from estimator.slam.anchors.observations import Observations
 
-__all__ = ["Cells", "SearchLimits", "choose_seeds"]
+__all__ = ["Cells", "SearchLimits", "apart", "choose_seeds"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -59,102 +59,9 @@ class SearchLimits(NamedTuple):
     refined_in_all: int
 
 
-@compiled
-def _score(
-    place: Place,
-    circles: Circles,
-    seen: Observations,
-    widest: Array,
-    first: int,
-    last: int,
-    vrp: Array,
-    model: Model,
-    path: Index,
-    relative: Array,
-) -> float:
-    """Log of the chance of the last epoch's paths under circles ``first`` to ``last``, each on its own."""
-    total = 0.0
-    e, pd = len(circles.x) - 1, model.detection_probability
-    for q in range(first, last):
-        if 0 < q <= circles.walls and is_behind(place.x, place.y, vrp[q - 1, 0], vrp[q - 1, 1]):
-            continue
-        kind = 0 if q == 0 else (1 if q <= circles.walls else 2)
-        chance = model.visibility[kind] * pd
-        told = 0.0
-        for i in range(gate_circle(place, circles, seen, widest, e, q, model, path, relative)):
-            told += relative[i]
-        total += np.log1p(chance * (told - 1.0))
-    return total
-
-
-@compiled
-def _affordable_paths(count: int, circles: int, most: int) -> int:
-    """How many of ``count`` paths can be paired on ``circles`` circles with ``most`` pairs; at least two."""
-    while count > 2 and circles * (circles - 1) // 2 * count * (count - 1) > most:
-        count -= 1
-    return count
-
-
-@compiled
-def _intersections(
-    circles: Circles, seen: Observations, cells: Cells, limits: SearchLimits, touch: float
-) -> tuple[Array, Array, Index]:
-    """Where circles of the last epoch meet: x, y and cell (S,).
-
-    Where there are more pairs than allowed, the walls that are farthest and the paths that are known worst,
-    and among those the longest, are left out: what comes over more than one bounce is long, and clutter is
-    anywhere.
-    """
-    e, kinds = len(circles.x) - 1, len(cells.bias_m)
-    most = max(min(limits.pairs, limits.pairs_in_all // kinds), 1)
-    used = 1 + circles.walls
-    while used > 2 and used * (used - 1) > most:
-        used -= 1
-    count = _affordable_paths(seen.paths[e], used, most)
-    centre = np.arange(1 + circles.walls)
-    if used < centre.size:
-        x, y = circles.x[e, : centre.size], circles.y[e, : centre.size]
-        centre = np.argsort((x - x[0]) ** 2 + (y - y[0]) ** 2, kind="mergesort")[:used]
-    chosen = np.arange(seen.paths[e])
-    if count < chosen.size:
-        order = np.argsort(seen.length_variance_m2[e, : chosen.size], kind="mergesort")
-        chosen = np.sort(order[:count])
-    size = kinds * used * (used - 1) * count * max(count - 1, 0)
-    px, py, cell = np.empty(size), np.empty(size), np.empty(size, dtype=np.int64)
-    n = 0
-    for g in range(kinds):
-        for a in range(used):
-            for i in range(count):
-                ca, radius = centre[a], seen.length_m[e, chosen[i]] - cells.bias_m[g]
-                ra = np.sqrt(max(radius * abs(radius) - cells.height2_m2[g], _SHORTEST_M**2))
-                for b in range(a + 1, used):
-                    cb = centre[b]
-                    for j in range(count):
-                        if i == j:
-                            continue
-                        radius = seen.length_m[e, chosen[j]] - cells.bias_m[g]
-                        rb = np.sqrt(max(radius * abs(radius) - cells.height2_m2[g], _SHORTEST_M**2))
-                        x0, y0, x1, y1 = intersect(
-                            circles.x[e, ca],
-                            circles.y[e, ca],
-                            ra,
-                            circles.x[e, cb],
-                            circles.y[e, cb],
-                            rb,
-                            touch,
-                        )
-                        if np.isfinite(x0):
-                            px[n], py[n], cell[n] = x0, y0, g
-                            px[n + 1], py[n + 1], cell[n + 1] = x1, y1, g
-                            n += 2
-    return px[:n], py[:n], cell[:n]
-
-
-@compiled
 def choose_seeds(
     circles: Circles,
     seen: Observations,
-    widest: Array,
     cells: Cells,
     vrp: Array,
     model: Model,
@@ -164,48 +71,145 @@ def choose_seeds(
 ) -> tuple[Array, Array, Index]:
     """The intersections, x, y and cell (S,), that explain the last epoch best, ``radius`` metres apart.
 
+    Where there are more pairs than allowed, the walls that are farthest and the paths that are known worst,
+    and among those the longest, are left out: what comes over more than one bounce is long, and clutter is
+    anywhere.
+
     Parameters
     ----------
-    circles, seen, widest, cells, vrp, model, limits : NamedTuples and arrays
-        Circles, paths, the largest variance (E,) of each epoch's paths, what is tried, walls (L, 2),
-        numbers, bounds.
+    circles, seen, cells, vrp, model, limits : NamedTuples and arrays
+        Circles, paths, what is tried, walls (L, 2), numbers, bounds.
     radius : float
         Of seeds of one cell that are closer than this the better one stands for both, metres.
     touch : float
         As in :func:`estimator.slam.anchors.circles.intersect`.
     """
-    px, py, cell = _intersections(circles, seen, cells, limits, touch)
-    path, relative = np.empty(model.max_gated, dtype=np.int64), np.empty(model.max_gated)
-    score = np.empty(len(px))
+    centre, path = _paired(circles, seen, max(min(limits.pairs, limits.pairs_in_all // len(cells.bias_m)), 1))
+    x, y, cell = _intersections(circles, seen, cells, centre, path, touch)
+    score = cells.log_prior[cell]
     single, every = 1 + circles.walls, circles.x.shape[1]
+    _add_scores(score, x, y, cell, circles, seen, cells, 0, single, vrp, model)
+    if len(x) > limits.scored:
+        order = np.argsort(-score, kind="stable")[: limits.scored]
+        x, y, cell, score = x[order], y[order], cell[order], score[order]
+    _add_scores(score, x, y, cell, circles, seen, cells, single, every, vrp, model)
+    order = np.argsort(-score, kind="stable")
+    point = np.stack([x, y, 2.0 * radius * cell], axis=1)  # those of different cells are never the same
+    kept = apart(point, order, radius, cell, limits.refined, limits.refined_in_all)
+    return x[kept], y[kept], cell[kept]
+
+
+def _paired(circles: Circles, seen: Observations, most: int) -> tuple[Index, Index]:
+    """The circles' centres and the paths of the last epoch of which all pairs are at most ``most``."""
+    centre, path = np.arange(1 + circles.walls), np.arange(seen.paths[-1])
+    if centre.size * (centre.size - 1) > most:
+        gap = np.hypot(circles.x[-1, centre] - circles.x[-1, 0], circles.y[-1, centre] - circles.y[-1, 0])
+        centre = np.argsort(gap, kind="stable")[: int(_side(most))]
+    if centre.size * (centre.size - 1) // 2 * path.size * (path.size - 1) > most:
+        order = np.argsort(seen.length_variance_m2[-1, : path.size], kind="stable")
+        path = np.sort(order[: int(_side(2 * most / (centre.size * (centre.size - 1))))])
+    return centre, path
+
+
+def _side(pairs: float) -> float:
+    """The number of things of which there are ``pairs`` ordered pairs; at least two."""
+    return max(0.5 + float(np.sqrt(0.25 + pairs)), 2.0)
+
+
+@compiled
+def _intersections(
+    circles: Circles, seen: Observations, cells: Cells, centre: Index, path: Index, touch: float
+) -> tuple[Array, Array, Index]:
+    """Where circles of the last epoch of some centres and paths meet: x, y and cell (S,)."""
+    e, kinds, count = len(circles.x) - 1, len(cells.bias_m), len(path)
+    size = kinds * len(centre) * (len(centre) - 1) * count * max(count - 1, 0)
+    px, py, cell = np.empty(size), np.empty(size), np.empty(size, dtype=np.int64)
+    n = 0
+    radius = np.empty(count)
+    for g in range(kinds):
+        for i in range(count):
+            flat = seen.length_m[e, path[i]] - cells.bias_m[g]
+            radius[i] = np.sqrt(max(flat * abs(flat) - cells.height2_m2[g], _SHORTEST_M**2))
+        for a in range(len(centre)):
+            ax, ay = circles.x[e, centre[a]], circles.y[e, centre[a]]
+            for b in range(a + 1, len(centre)):
+                bx, by = circles.x[e, centre[b]], circles.y[e, centre[b]]
+                for i in range(count):
+                    for j in range(count):
+                        if i == j:
+                            continue
+                        x0, y0, x1, y1 = intersect(ax, ay, radius[i], bx, by, radius[j], touch)
+                        if np.isfinite(x0):
+                            px[n], py[n], cell[n] = x0, y0, g
+                            px[n + 1], py[n + 1], cell[n + 1] = x1, y1, g
+                            n += 2
+    return px[:n], py[:n], cell[:n]
+
+
+@compiled
+def _add_scores(
+    score: Array,
+    px: Array,
+    py: Array,
+    cell: Index,
+    circles: Circles,
+    seen: Observations,
+    cells: Cells,
+    first: int,
+    last: int,
+    vrp: Array,
+    model: Model,
+) -> None:
+    """Add the log chances of the last epoch's paths under circles ``first`` to ``last``, each on its own."""
+    e, out = len(circles.x) - 1, room_for(circles.x.shape[1], model.max_gated)
+    silent, nothing = np.empty(last), 0.0  # what each circle says if it explains nothing
+    for q in range(first, last):
+        silent[q] = np.log1p(-model.visibility[q] * model.detection_probability)
+        nothing += silent[q]
     for s in range(len(px)):
         place = Place(px[s], py[s], cells.bias_m[cell[s]], cells.height2_m2[cell[s]])
-        score[s] = _score(place, circles, seen, widest, 0, single, vrp, model, path, relative)
-    if len(px) > limits.scored:
-        order = np.argsort(-(score + cells.log_prior[cell]), kind="mergesort")[: limits.scored]
-        px, py, cell, score = px[order], py[order], cell[order], score[order]
-    for s in range(len(px)):
-        place = Place(px[s], py[s], cells.bias_m[cell[s]], cells.height2_m2[cell[s]])
-        score[s] += _score(place, circles, seen, widest, single, every, vrp, model, path, relative)
-    order = np.argsort(-(score + cells.log_prior[cell]), kind="mergesort")
-    taken = np.zeros(len(cells.bias_m), dtype=np.int64)
-    kept = np.empty(min(len(px), limits.refined_in_all), dtype=np.int64)
+        total = nothing
+        for q in range(max(first, 1), min(last, 1 + circles.walls)):
+            if is_behind(px[s], py[s], vrp[q - 1, 0], vrp[q - 1, 1]):
+                total -= silent[q]
+        if gate_epoch(place, circles, seen, e, first, last, vrp, model, out):
+            product = 1.0
+            for q in range(first, last):
+                if out.begin[q] < out.begin[q + 1]:
+                    told = 0.0
+                    for i in range(out.begin[q], out.begin[q + 1]):
+                        told += out.relative[i]
+                    chance = model.visibility[q] * model.detection_probability
+                    product *= 1.0 + chance * (told - 1.0)
+                    total -= silent[q]
+                    if not 1e-100 < product < 1e100:  # one logarithm for many factors
+                        total += np.log(product)
+                        product = 1.0
+            total += np.log(product)
+        score[s] += total
+
+
+@compiled
+def apart(point: Array, order: Index, radius: float, group: Index, most: int, most_in_all: int) -> Index:
+    """The first of the points (S, 3) in ``order`` that are further than ``radius`` from those before.
+
+    At most ``most`` of each group (S,) and ``most_in_all``.
+    """
+    taken = np.zeros(group.max() + 1 if len(group) else 0, dtype=np.int64)
+    kept = np.empty(min(len(order), most_in_all), dtype=np.int64)
     count = 0
-    for i in range(len(order)):
-        s = order[i]
-        if count == limits.refined_in_all:
+    for s in order:
+        if count == len(kept):
             break
-        if taken[cell[s]] == limits.refined:
-            continue
-        alone = True
+        alone = taken[group[s]] < most
         for j in range(count):
-            t = kept[j]
-            if cell[t] == cell[s] and (px[t] - px[s]) ** 2 + (py[t] - py[s]) ** 2 <= radius * radius:
-                alone = False
+            if not alone:
                 break
+            dx, dy = point[kept[j], 0] - point[s, 0], point[kept[j], 1] - point[s, 1]
+            dz = point[kept[j], 2] - point[s, 2]
+            alone = dx * dx + dy * dy + dz * dz > radius * radius
         if alone:
             kept[count] = s
-            taken[cell[s]] += 1
+            taken[group[s]] += 1
             count += 1
-    kept = kept[:count]
-    return px[kept], py[kept], cell[kept]
+    return kept[:count]
