@@ -89,8 +89,12 @@ class AnchorSearchConfig:
     max_pair_circles : int
         The same of all clock biases and searches of an epoch, times the circles of up to one bounce that each
         intersection is compared with.
-    max_scored, max_scored_in_all : int
-        Intersections that are scored with double bounces, of one clock bias and of all searches of an epoch.
+    min_paired_circles, min_paired_paths : int
+        Circles and paths of which pairs are made, at least, where not all pairs are.
+    max_scored : int
+        Intersections of one clock bias that are scored with double bounces.
+    max_scored_circles : int
+        The same of all searches of an epoch, times the double bounces.
     max_refined, max_refined_in_all : int
         Places that are refined and weighed, of one clock bias and of all searches of an epoch.
     max_refined_circles : int
@@ -148,11 +152,13 @@ class AnchorSearchConfig:
     max_gated: int = 8
     max_pairs: int = 20_000
     max_pair_circles: int = 400_000
+    min_paired_circles: int = 5
+    min_paired_paths: int = 12
     max_scored: int = 1_000
-    max_scored_in_all: int = 8_000
+    max_scored_circles: int = 80_000
     max_refined: int = 60
     max_refined_in_all: int = 600
-    max_refined_circles: int = 48_000
+    max_refined_circles: int = 24_000
     max_grid_searches: int = 2
     labelling_gap_m: float = 3.0
     labelling_slack: float = 1.2
@@ -160,7 +166,7 @@ class AnchorSearchConfig:
     max_labelling_nodes: int = 20_000
     max_labelling_nodes_in_all: int = 400_000
     max_labelled_features: int = 200_000
-    max_branch_floats: int = 4_800_000
+    max_branch_floats: int = 2_400_000
     min_branches: int = 4
 
     def __post_init__(self) -> None:

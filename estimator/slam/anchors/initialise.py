@@ -296,14 +296,17 @@ def _cells(mean: float, std: float, config: AnchorSearchConfig) -> tuple[Cells, 
 
 def _limits(share: int, cells: int, scene: Scene, config: AnchorSearchConfig) -> SearchLimits:
     """What one of ``share`` searches of so many cells may cost."""
-    refined = min(config.max_refined_in_all, config.max_refined_circles // scene.circles.x.size)
-    walls = 1 + scene.circles.walls
+    walls, every = 1 + scene.circles.walls, scene.circles.x.shape[1]
+    scored = config.max_scored_circles // (share * max(every - walls, 1))
+    refined = min(config.max_refined_in_all, config.max_refined_circles // scene.circles.x.size) // share
     return SearchLimits(
-        config.max_pairs,
-        max(config.max_pair_circles // (share * walls), 1),
-        max(min(config.max_scored * cells, config.max_scored_in_all // share), 1),
-        config.max_refined,
-        max(refined // share, 1),
+        pairs=config.max_pairs,
+        pairs_in_all=config.max_pair_circles // (share * walls),
+        paired_circles=config.min_paired_circles,
+        paired_paths=config.min_paired_paths,
+        scored=max(min(config.max_scored * cells, scored), 1),
+        refined=config.max_refined,
+        refined_in_all=max(refined, 1),
     )
 
 

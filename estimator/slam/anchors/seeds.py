@@ -46,6 +46,8 @@ class SearchLimits(NamedTuple):
     ----------
     pairs, pairs_in_all : int
         Pairs of circles that are intersected, of one cell and of all.
+    paired_circles, paired_paths : int
+        Circles and paths of which pairs are made at least.
     scored : int
         Intersections that are scored with double bounces.
     refined, refined_in_all : int
@@ -54,6 +56,8 @@ class SearchLimits(NamedTuple):
 
     pairs: int
     pairs_in_all: int
+    paired_circles: int
+    paired_paths: int
     scored: int
     refined: int
     refined_in_all: int
@@ -84,7 +88,7 @@ def choose_seeds(
     touch : float
         As in :func:`estimator.slam.anchors.circles.intersect`.
     """
-    centre, path = _paired(circles, seen, max(min(limits.pairs, limits.pairs_in_all // len(cells.bias_m)), 1))
+    centre, path = _paired(circles, seen, min(limits.pairs, limits.pairs_in_all // len(cells.bias_m)), limits)
     x, y, cell = _intersections(circles, seen, cells, centre, path, touch)
     score = cells.log_prior[cell]
     single, every = 1 + circles.walls, circles.x.shape[1]
@@ -99,21 +103,27 @@ def choose_seeds(
     return x[kept], y[kept], cell[kept]
 
 
-def _paired(circles: Circles, seen: Observations, most: int) -> tuple[Index, Index]:
-    """The circles' centres and the paths of the last epoch of which all pairs are at most ``most``."""
+def _paired(circles: Circles, seen: Observations, most: int, limits: SearchLimits) -> tuple[Index, Index]:
+    """The centres and the paths of the last epoch that are paired, of which pairs are about ``most``."""
     centre, path = np.arange(1 + circles.walls), np.arange(seen.paths[-1])
-    if centre.size * (centre.size - 1) > most:
-        gap = np.hypot(circles.x[-1, centre] - circles.x[-1, 0], circles.y[-1, centre] - circles.y[-1, 0])
-        centre = np.argsort(gap, kind="stable")[: int(_side(most))]
-    if centre.size * (centre.size - 1) // 2 * path.size * (path.size - 1) > most:
-        order = np.argsort(seen.length_variance_m2[-1, : path.size], kind="stable")
-        path = np.sort(order[: int(_side(2 * most / (centre.size * (centre.size - 1))))])
-    return centre, path
+    if _pairs(centre.size) * 2 * _pairs(path.size) <= most:
+        return centre, path
+    least = min(limits.paired_paths, path.size)
+    count = max(_side(most / max(2 * _pairs(least), 1)), limits.paired_circles)
+    gap = np.hypot(circles.x[-1, centre] - circles.x[-1, 0], circles.y[-1, centre] - circles.y[-1, 0])
+    centre = np.argsort(gap, kind="stable")[:count]
+    order = np.argsort(seen.length_variance_m2[-1, : path.size], kind="stable")
+    return centre, np.sort(order[: _side(most / max(2 * _pairs(centre.size), 1))])
 
 
-def _side(pairs: float) -> float:
-    """The number of things of which there are ``pairs`` ordered pairs; at least two."""
-    return max(0.5 + float(np.sqrt(0.25 + pairs)), 2.0)
+def _pairs(count: int) -> int:
+    """Unordered pairs of so many things."""
+    return count * (count - 1) // 2
+
+
+def _side(pairs: float) -> int:
+    """The largest number of things, at least two, of which there are no more unordered pairs."""
+    return max(int(0.5 + np.sqrt(0.25 + 2.0 * pairs)), 2)
 
 
 @compiled
