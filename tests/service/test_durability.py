@@ -30,7 +30,7 @@ from service.store import Store
 from service.verify import verify
 from tests.service.harness import SEED, Postgres, Server, Uploads, postgres_programs
 
-KILLS = int(os.environ.get("HAPSLAM_TEST_KILLS", "5" if os.environ.get("CI") else "2"))
+KILLS = int(os.environ.get("HAPSLAM_TEST_KILLS", "2"))
 
 RESTARTS = int(os.environ.get("HAPSLAM_TEST_RESTARTS", "2"))
 

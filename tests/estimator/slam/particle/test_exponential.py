@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from estimator.compiled import compiled
 from estimator.slam.particle.exponential import EXP_RELATIVE_ERROR, exp_negative
+
+pytestmark = pytest.mark.interpreted
 
 
 @compiled

@@ -14,6 +14,8 @@ from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.particle.messages import Nodes, exchange
 from estimator.slam.particle.state import Features
 
+pytestmark = pytest.mark.interpreted
+
 CONFIG = ParticleConfig(particles=8, range_std_m=0.1, pairings=1, new_mean=0.01)
 AGENT, ANCHOR, WALL = np.array([5.0, 2.0]), np.array([20.0, -4.0]), np.array([0.0, 30.0])
 

@@ -16,6 +16,8 @@ from estimator.slam.particle.pairings import (
     paired_weights,
 )
 
+pytestmark = pytest.mark.interpreted
+
 HEIGHT2 = 2.25
 
 
