@@ -88,7 +88,7 @@ def hapslam() -> Callable[..., Run]:
             env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
             capture_output=True,
             text=True,
-            timeout=300,
+            timeout=900,  # compiling included, on a busy machine
             check=False,
         )
         return Run(done.returncode, done.stdout, done.stderr)
