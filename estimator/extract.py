@@ -1,8 +1,9 @@
 """From a dataset's channels to measurements: the stage ``hapslam extract``.
 
-All channel frequency responses go through NOMP (:mod:`estimator.channel.nomp`), the beam
-sweep at the start through the search for flashes (:mod:`estimator.sensing.flash`). The dataset's
-paths and truth are not opened.
+All channel frequency responses go through NOMP (:mod:`estimator.channel.nomp`), all beam
+sweeps through the search for flashes (:mod:`estimator.sensing.flash`): that of the first epoch
+gives the walls at the start, each later one belongs to its epoch. The dataset's paths and truth
+are not opened.
 
 Where the agent has an array, delays and directions are estimated together. Directions of arrival
 become part of the measurements if the array tells all azimuths apart (a lying planar array does): of a
@@ -12,7 +13,7 @@ linear array, one of front and back would be wrong, and a map does not survive t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from estimator.arrays import AntennaArray, BeamSet, UniformLinearArray, UniformPlanarArray
 from estimator.channel.nomp import DelayEstimate, NompConfig, NompPlan
 from estimator.dataset import Dataset
-from estimator.errors import ConfigurationError, FileFormatError, InputError
+from estimator.errors import ConfigurationError, FileFormatError
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.sensing.beam_ranges import walls_of_beams
 from estimator.sensing.flash import FlashConfig, find_flashes, flash_walls
@@ -31,7 +32,7 @@ from estimator.waveform import OfdmGrid, frequency_response
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ExtractConfig", "Progress", "extract", "extract_epochs", "paths_of", "sense_walls"]
+__all__ = ["ExtractConfig", "Progress", "extract", "extract_epochs", "paths_of", "sense_sweeps"]
 
 Complex = NDArray[np.complex128]
 _LEAST_BATCH = 8  # channels of many antennas are long enough by themselves
@@ -65,7 +66,7 @@ class ExtractConfig:
 def extract(
     dataset: Dataset, config: ExtractConfig | None = None, progress: Progress | None = None
 ) -> MeasurementSet:
-    """Estimate all delays and sense the walls at the start.
+    """Estimate all delays and sense the walls in all sweeps.
 
     Parameters
     ----------
@@ -90,11 +91,22 @@ def extract(
     """
     settings = ExtractConfig() if config is None else config
     radio = _section(dataset.manifest, "radio")
-    walls = sense_walls(dataset, settings.flash)
+    sweeps = sense_sweeps(dataset, settings.flash, progress)
     epochs = extract_epochs(dataset, settings.nomp, settings.batch, progress)
+    strayed = sweeps.keys() - {epoch.index for epoch in epochs}
+    if strayed:
+        raise FileFormatError(
+            f"{dataset.path}: expected beam sweeps at epochs with channels, got one at epoch {min(strayed)}"
+        )
+    first = epochs[0].index  # where the agent stands at the reference point
+    epochs = tuple(
+        replace(epoch, sweep=sweeps.get(epoch.index, ())) if epoch.index != first else epoch
+        for epoch in epochs
+    )
+    speed = dataset.manifest.get("agent", {}).get("max_speed_m_s")
     return MeasurementSet(
         anchors=tuple(str(name) for name in _entry(dataset.manifest, "anchors", "manifest")),
-        walls=walls,
+        walls=sweeps.get(first, ()),
         epochs=epochs,
         carrier_hz=float(_entry(radio, "carrier_hz", "radio")),
         settings={
@@ -102,6 +114,7 @@ def extract(
             "name": dataset.manifest.get("name"),
             "seed": dataset.manifest.get("seed"),
         },
+        max_speed_m_s=None if speed is None else float(speed),
     )
 
 
@@ -164,35 +177,34 @@ def _channels(shard: xr.Dataset, grid: OfdmGrid, antennas: int) -> Complex:
 
 
 @one_blas_thread()
-def sense_walls(dataset: Dataset, config: FlashConfig | None = None) -> tuple[GaussianVrp, ...]:
-    """Walls from the sweep at the start; none if the dataset holds no sweep.
+def sense_sweeps(
+    dataset: Dataset, config: FlashConfig | None = None, progress: Progress | None = None
+) -> dict[int, tuple[GaussianVrp, ...]]:
+    """Walls that each beam sweep saw, by its epoch: relative to the agent there, in its axes.
 
-    Raises
-    ------
-    FileFormatError
-        If shards are damaged, or manifest and shards do not fit together.
-    InputError
-        If the first sweep is not of the first epoch, where the agent stands at the reference point.
+    Parameters and errors are those of :func:`extract`; a dataset without echoes has no sweeps.
     """
-    for shard in dataset.shards("echo"):
+    sweeps: dict[int, tuple[GaussianVrp, ...]] = {}
+    files = sum(1 for entry in dataset.manifest.get("shards", ()) if entry.get("kind") == "echo")
+    for done, shard in enumerate(dataset.shards("echo")):
         section = _section(dataset.manifest, "echo")
-        sweep_epoch = int(shard["sweep_epoch"].values[0])
-        if sweep_epoch != 0:
-            raise InputError(
-                f"{dataset.path}: expected a beam sweep at epoch 0, the first is at {sweep_epoch}"
-            )
-        echo = _complex(shard, "echo", "echo", ("sweep", "beam", "tone"))[0]
         grid, beams = _grid(section, "echo"), _beams(section)
-        if echo.shape != (beams.beams, grid.tones):
+        noise_variance = float(_entry(section, "noise_variance", "echo"))
+        echoes = _complex(shard, "echo", "echo", ("sweep", "beam", "tone"))
+        if echoes.shape[1:] != (beams.beams, grid.tones):
             raise FileFormatError(
                 f"{dataset.path}: expected an echo of {beams.beams} beams and {grid.tones} tones, "
-                f"as the manifest says, got {echo.shape[0]} and {echo.shape[1]}"
+                f"as the manifest says, got {echoes.shape[1]} and {echoes.shape[2]}"
             )
-        noise_variance = float(_entry(section, "noise_variance", "echo"))
-        if section.get("model") == "radar-equation":  # every beam hears its wall, and nothing flashes
-            return walls_of_beams(echo, noise_variance, grid, beams)
-        return flash_walls(find_flashes(echo, noise_variance, grid, beams, config))
-    return ()
+        for epoch, echo in zip(shard["sweep_epoch"].values, echoes, strict=True):
+            if section.get("model") == "radar-equation":  # every beam hears its wall, and nothing flashes
+                walls = walls_of_beams(echo, noise_variance, grid, beams)
+            else:
+                walls = flash_walls(find_flashes(echo, noise_variance, grid, beams, config))
+            sweeps[int(epoch)] = walls
+        if progress is not None:
+            progress(done + 1, files, "sensing walls")
+    return sweeps
 
 
 def paths_of(estimate: DelayEstimate, array: AntennaArray | None = None) -> AnchorPaths:

@@ -205,6 +205,8 @@ class MeasurementSet:
     known_anchors_m : array_like, shape (K, 2), optional
         Where the anchors are, estimator's frame, metres: for the methods that know
         them. None says that nobody does.
+    max_speed_m_s : float, optional
+        The agent never moves faster, metres per second; None says that nothing is known.
     """
 
     anchors: tuple[str, ...]
@@ -214,8 +216,11 @@ class MeasurementSet:
     settings: Mapping[str, Any] = field(default_factory=dict)
     dataset: str | None = None
     known_anchors_m: Array | None = None
+    max_speed_m_s: float | None = None
 
     def __post_init__(self) -> None:
+        if self.max_speed_m_s is not None and not 0.0 < self.max_speed_m_s < np.inf:
+            raise InputError(f"max_speed_m_s: expected a positive number, got {self.max_speed_m_s}")
         if self.known_anchors_m is not None:
             places = _finite("known_anchors_m", self.known_anchors_m, (len(self.anchors), 2))
             object.__setattr__(self, "known_anchors_m", places)
@@ -302,6 +307,7 @@ def save_measurements(measurements: MeasurementSet, path: Path) -> None:
             "carrier_hz": measurements.carrier_hz,
             "settings": json.dumps(dict(measurements.settings), sort_keys=True),
             "dataset": measurements.dataset or "",
+            **({} if measurements.max_speed_m_s is None else {"max_speed_m_s": measurements.max_speed_m_s}),
             "frame": "origin: agent's start (RP); axes: the agent's arrays at the start; metres",
         },
     )
@@ -368,6 +374,7 @@ def load_measurements(path: Path) -> MeasurementSet:
             json_object(attributes["settings"], "attribute settings"),
             str(attributes["dataset"]) or None,
             data["known_anchor_m"].values if "known_anchor_m" in data else None,
+            float(attributes["max_speed_m_s"]) if "max_speed_m_s" in attributes else None,
         )
     except KeyError as error:
         raise FileFormatError(f"{path}: expected the attribute {error}, it is missing") from error

@@ -35,7 +35,7 @@ class BeamRangeConfig:
         the range: a wide beam that meets a wall at a slant returns a spread that grows
         with the range, of which one range is a summary.
     nearest_m : float
-        Returns from nearer are not walls, metres.
+        Returns from nearer are not walls but the transmitter's leakage, metres.
     nomp : NompConfig
         Settings of the delay estimation.
     segmentation : SegmentationConfig
@@ -79,15 +79,16 @@ def beam_ranges(
     """
     config = config or BeamRangeConfig()
     estimates = NompPlan(grid, config.nomp).estimate(echo, noise_variance)
-    rows = [(b, *_strongest(found, config)) for b, found in enumerate(estimates) if len(found)]
-    rows = [row for row in rows if row[1] > config.nearest_m]
+    nearest_s = 2.0 * config.nearest_m / SPEED_OF_LIGHT_M_S
+    heard = [(b, found, found.delay_s > nearest_s) for b, found in enumerate(estimates)]
+    rows = [(b, *_strongest(found, far, config)) for b, found, far in heard if far.any()]
     table = np.array(rows, dtype=np.float64).reshape(-1, 3)
     return table[:, 1], table[:, 2], table[:, 0].astype(np.int64)
 
 
-def _strongest(found: DelayEstimate, config: BeamRangeConfig) -> tuple[float, float]:
-    """Range and standard deviation of the strongest return, 0 if it is too near to be a wall."""
-    best = int(np.argmax(np.abs(found.gain)))
+def _strongest(found: DelayEstimate, far: NDArray[np.bool_], config: BeamRangeConfig) -> tuple[float, float]:
+    """Range and standard deviation of the strongest return of those that are no leakage."""
+    best = int(np.argmax(np.where(far, np.abs(found.gain), 0.0)))
     half = 0.5 * SPEED_OF_LIGHT_M_S
     distance = half * float(found.delay_s[best])
     bound = half * float(np.sqrt(found.variance_s2[best]))

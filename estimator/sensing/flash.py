@@ -7,7 +7,10 @@ room lies on a wall's perpendicular; what looks like a flash and is none is told
 taken in order of strength, and one is rejected if
 
 - its gain is implausible: above a perfect mirror's, or far below;
-- it comes from the direction of a stronger one: what stands behind a wall is not seen;
+- it comes from the direction of a wall and from farther: what stands behind a wall is not seen.
+  The stronger of the two is not always the nearer: over floor and ceiling a wall has images a little
+  farther than itself, and over a low wall a higher one is seen. A nearer return that is not much weaker
+  is the wall;
 - it is a weak companion, in another direction, of a stronger one at the same range: a
   sidelobe of beams that are not quite what they should be;
 - it lies on the line of a stronger wall and is much weaker: that wall's diffuse return;
@@ -17,7 +20,10 @@ taken in order of strength, and one is rejected if
   ``sqrt(r_a^2 + r_b^2)``, and between parallel walls from ``r_a + r_b``.
 
 Returns that make one flash (floor and ceiling add images a little farther than the wall's own) are
-joined by power, and their spread is added to the covariance.
+joined by power, and their spread is added to the covariance. Not resolved, these images add up: the
+way there and back over the floor, the same over the ceiling and the wall's own are five, 14 dB if all
+are in phase. Floor and ceiling themselves send vertically, where the beams' gain, two ways, is tens of
+decibels below a wall's; taken for returns from the horizon, they are far too weak for one.
 
 *Covariance.* The Cramer-Rao bound is centimetres at most; errors of beams, and images not
 resolved, are larger. What is claimed on top of the bound is :attr:`FlashConfig.range_std_m` and
@@ -70,7 +76,8 @@ class FlashConfig:
     same_direction_rad : float
         Returns closer in azimuth come from one direction, radians.
     sidelobe_db, diffuse_db : float
-        How much weaker than a wall its sidelobes and its diffuse returns are at least, dB.
+        How much weaker than a wall its sidelobes and its diffuse returns are at least, dB; a return from
+        before a wall that is no weaker than that is a wall in front of it.
     rule_range_m, rule_azimuth_rad : float
         Tolerance of the rules of diffuse returns and double bounces, metres and radians.
     pair_margin_db : float
@@ -83,7 +90,7 @@ class FlashConfig:
     range_std_m: float = 0.04
     azimuth_std_rad: float = float(np.deg2rad(0.12))
     min_reflectivity_db: float = -20.0
-    max_reflectivity_db: float = 3.0
+    max_reflectivity_db: float = 14.0
     same_direction_rad: float = float(np.deg2rad(4.0))
     sidelobe_db: float = 15.0
     diffuse_db: float = 10.0
@@ -181,7 +188,14 @@ def find_flashes(
     flashes: list[Flash] = []
     for candidate in _candidates(pursuit.find(echo, noise_variance), settings, pursuit.range_cell_m):
         walls = [flash for flash in flashes if flash.verdict is Verdict.WALL]
-        flashes.append(replace(candidate, verdict=_judge(candidate, walls, settings, pursuit.range_cell_m)))
+        beyond = [wall for wall in walls if _hides(candidate, wall, settings)]
+        others = [wall for wall in walls if wall not in beyond]
+        judged = replace(candidate, verdict=_judge(candidate, others, settings, pursuit.range_cell_m))
+        if judged.verdict is Verdict.WALL:
+            flashes = [
+                replace(flash, verdict=Verdict.BEHIND) if flash in beyond else flash for flash in flashes
+            ]
+        flashes.append(judged)
     return flashes
 
 
@@ -217,6 +231,15 @@ def _candidates(returns: ReturnSet, config: FlashConfig, range_cell_m: float) ->
             )
         )
     return flashes
+
+
+def _hides(candidate: Flash, wall: Flash, config: FlashConfig) -> bool:
+    """Whether a candidate, if it is a wall, stands before a stronger return in the same direction."""
+    return (
+        candidate.range_m < wall.range_m
+        and wall.reflectivity_db - candidate.reflectivity_db <= config.diffuse_db
+        and _azimuth_between(candidate.azimuth_rad, wall.azimuth_rad) < config.same_direction_rad
+    )
 
 
 def _judge(candidate: Flash, walls: list[Flash], config: FlashConfig, range_cell_m: float) -> Verdict:

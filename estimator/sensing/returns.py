@@ -28,6 +28,7 @@ Complex = NDArray[np.complex128]
 _AZIMUTHS_PER_BEAM = 4
 _STEP_LIMIT_CELLS = 0.25
 _CONVERGED_CELLS = 1e-4
+_RAISED = 1.5  # a beam's noise counts as raised above this multiple of the noise stated: four deviations
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,8 @@ class PursuitConfig:
     false_alarm : float
         Probability that noise alone gives a return, per sweep.
     blind_range_m : float
-        What is nearer is removed from the data, metres; 0 keeps everything.
+        What is nearer is removed from the data, metres; 0 keeps everything. The transmitter's leakage
+        has to lie within: by default, delays up to 1 ns and a front-end error of 0.05 m.
     max_range_m : float
         Returns are searched up to here, or to where ranges become ambiguous, metres.
     min_reflectivity_db : float
@@ -53,7 +55,7 @@ class PursuitConfig:
     """
 
     false_alarm: float = 0.01
-    blind_range_m: float = 2.0
+    blind_range_m: float = 0.2
     max_range_m: float = 150.0
     min_reflectivity_db: float = -26.0
     max_returns: int = 24
@@ -140,8 +142,8 @@ class EchoPursuit:
         self._azimuths = 2.0 * np.pi * np.arange(count) / count - np.pi
         response, slope = self._model.beam_response(self._azimuths)
         norm = np.linalg.norm(response, axis=1)
-        self._patterns = response / norm[:, None]
-        along = np.sum(self._patterns.conj() * slope, axis=1, keepdims=True) * self._patterns
+        patterns = response / norm[:, None]
+        along = np.sum(patterns.conj() * slope, axis=1, keepdims=True) * patterns
         directions = 2.0 * np.pi * np.mean(np.linalg.norm(slope - along, axis=1) / norm)
 
         self._bins = scipy.fft.next_fast_len(self.config.oversampling * grid.tones)
@@ -155,10 +157,9 @@ class EchoPursuit:
         self._delays = np.arange(first, last + 1) / self._bins
         lengths = delay_length(grid.tones, float(np.ptp(self._delays))), float(directions)
         self.threshold = detection_threshold(self.config.false_alarm, *lengths)
-        # Least |z|^2 of a plausible return: its gain is at least the mirror's times the reflectivity.
+        # Of a plausible return: its gain is at least the mirror's times the reflectivity.
         mirror = grid.wavelength_m / (8.0 * np.pi * self._delays / turns_per_m)
-        least = mirror * 10.0 ** (self.config.min_reflectivity_db / 20.0) * grid.tones
-        self._plausible = (norm[:, None] * least) ** 2
+        self._least = mirror * 10.0 ** (self.config.min_reflectivity_db / 20.0) * grid.tones
 
     def find(self, echo: Complex, noise_variance: float) -> ReturnSet:
         """Find the returns of one sweep.
@@ -188,26 +189,44 @@ class EchoPursuit:
         if not 0.0 < noise_variance < np.inf:
             raise InputError(f"noise_variance: expected a positive number, got {noise_variance}")
         data = self._model.blank(data)
+        weights = self._whitening(data, noise_variance)
+        data, model = weights[:, None] * data, self._model.weighted(weights)
+        search = _Search(model.beam_response(self._azimuths)[0])
         fit = EchoFit.empty()
         residual = data
         for _ in range(self.config.max_returns):
-            peak = self._detect(residual, fit, noise_variance)
+            peak = self._detect(search, residual, fit, noise_variance)
             if peak is None:
                 break
             start = np.append(fit.turns, peak[0]), np.append(fit.azimuth, peak[1])
-            fit = self._polish(data, self._model.project(data, *start), self.config.steps)
-            residual = data - self._model.synthesise(fit)
+            fit = self._polish(model, data, model.project(data, *start), self.config.steps)
+            residual = data - model.synthesise(fit)
         if len(fit.turns):
-            fit = self._polish(data, fit, self.config.final_steps)
-            residual = data - self._model.synthesise(fit)
+            fit = self._polish(model, data, fit, self.config.final_steps)
+            residual = data - model.synthesise(fit)
         return self._returns(fit, max(noise_variance, float(np.mean(np.abs(residual) ** 2))))
 
-    def _detect(self, residual: Complex, fit: EchoFit, noise_variance: float) -> tuple[float, float] | None:
+    def _whitening(self, data: Complex, noise_variance: float) -> Real:
+        """Weights of the beams that make the noise of all as stated: phase noise of the leakage raises it.
+
+        A beam's noise is the median over all delays, of which returns fill a small part (the window
+        keeps their sidelobes there), of what is exponentially distributed for noise.
+        """
+        window = np.hanning(self.grid.tones + 2)[1:-1]
+        spectrum = scipy.fft.ifft(data * window, axis=1, norm="ortho")
+        floor = np.median(np.abs(spectrum) ** 2, axis=1) / np.mean(window**2) / np.log(2.0)
+        return np.where(floor > _RAISED * noise_variance, np.sqrt(noise_variance / floor), 1.0)
+
+    def _detect(
+        self, search: _Search, residual: Complex, fit: EchoFit, noise_variance: float
+    ) -> tuple[float, float] | None:
         """Delay and azimuth of the strongest plausible return away from those found, or None."""
         spectrum = scipy.fft.ifft(residual, self._bins, axis=1, norm="forward")
         window = spectrum[:, np.rint(self._delays * self._bins).astype(np.intp)]
-        power = np.abs(self._patterns.conj() @ window) ** 2  # (azimuths, delays)
-        power[power < np.maximum(self._plausible, self.threshold * self.grid.tones * noise_variance)] = 0.0
+        power = np.abs(search.patterns.conj() @ window) ** 2  # (azimuths, delays)
+        # Least |z|^2 of a plausible return: its gain is at least the mirror's times the reflectivity.
+        plausible = (search.norm[:, None] * self._least) ** 2
+        power[power < np.maximum(plausible, self.threshold * self.grid.tones * noise_variance)] = 0.0
         for turns, azimuth in zip(fit.turns, fit.azimuth, strict=True):
             delays = np.abs(self._delays - turns) * self.grid.tones < 1.0
             azimuths = np.abs(_wrap(self._azimuths - azimuth)) < self.azimuth_cell_rad
@@ -217,7 +236,7 @@ class EchoPursuit:
             return None
         return float(self._delays[delay_bin]), float(self._azimuths[azimuth_bin])
 
-    def _polish(self, data: Complex, fit: EchoFit, steps: int) -> EchoFit:
+    def _polish(self, model: EchoModel, data: Complex, fit: EchoFit, steps: int) -> EchoFit:
         """Joint Fisher scoring with Levenberg-Marquardt damping; cells bound the steps and the closeness."""
         count = len(fit.turns)
         cells = np.repeat([1.0 / self.grid.tones, self.azimuth_cell_rad], count)
@@ -226,7 +245,7 @@ class EchoPursuit:
             diagonal = damping * np.abs(np.diag(fit.information))
             step = np.clip(np.linalg.solve(fit.information + np.diag(diagonal), fit.gradient), -limit, limit)
             turns, azimuth = fit.turns + step[:count], fit.azimuth + step[count:]
-            trial = self._model.project(data, turns, azimuth) if self._apart(turns, azimuth) else None
+            trial = model.project(data, turns, azimuth) if self._apart(turns, azimuth) else None
             if trial is not None and trial.energy >= fit.energy:
                 fit, damping = trial, max(0.2 * damping, 1e-9)
             else:
@@ -260,6 +279,14 @@ class EchoPursuit:
         )
         order = np.argsort(-found.power_db, kind="stable")
         return replace(found, **{name: getattr(found, name)[order] for name in found.__dataclass_fields__})
+
+
+class _Search:
+    """Beam patterns of the azimuths searched, of unit norm, and their norms."""
+
+    def __init__(self, response: Complex) -> None:
+        self.norm = np.linalg.norm(response, axis=1)
+        self.patterns = response / self.norm[:, None]
 
 
 def _wrap(angle_rad: Real) -> Real:

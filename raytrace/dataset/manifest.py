@@ -42,6 +42,7 @@ def head(plan: FloorPlan, seed: int, output: Output, llvm: str) -> dict[str, Any
         "scene": {"name": plan.name, "sha256": plan.sha256()},
         "anchors": [anchor.name for anchor in plan.anchors],
         "epochs": plan.agent.epochs,
+        "agent": {"max_speed_m_s": plan.agent.largest_speed_m_s},
         "frame": _FRAME,
         "versions": {**{name: metadata.version(name) for name in _PACKAGES}, "llvm": llvm},
         "radio": {

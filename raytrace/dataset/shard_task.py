@@ -3,8 +3,9 @@
 What a shard holds follows from the plan, the seed and its place alone, so it can be
 made anywhere, in any order, and again: the bytes are the same. The noise of the passive
 channels and of the echo, timing jitter and calibration errors come from separate
-streams of the seed; of each stream, shard ``k`` uses what lies ``k`` jumps ahead (a
-jump is longer than any shard), except for the calibration, which all shards share.
+streams of the seed, as do leakage and its phase noise; of each stream, shard ``k`` uses what lies
+``k`` jumps ahead (a jump is longer than any shard), except for what the device is, calibration and
+coupling, which all shards share.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from raytrace.propagation.scene import RadioScene, build_scene
 from raytrace.radio.channel import add_noise
 from raytrace.radio.echo import EchoSweep, sweep_echo
 from raytrace.radio.impairments import jitter, miscalibrate
+from raytrace.radio.leakage import leakage_response
 from raytrace.radio.reception import receive
 from raytrace.radio.scattering import diffuse_response
 
@@ -42,7 +44,7 @@ Progress = Callable[[int, int, str], None]
 
 STAGES = ("starting the ray tracer", "tracing paths", "summing channels", "sweeping beams", "writing")
 
-_STREAMS = ("passive", "echo", "timing", "calibration")
+_STREAMS = ("passive", "echo", "timing", "calibration", "coupling", "leakage")
 # The ray tracer serves one thread of a process at a time.
 _TRACER = threading.Lock()
 
@@ -80,7 +82,7 @@ class ShardTask:
     @property
     def sweeps(self) -> tuple[int, ...]:
         """Epochs of the beam sweeps that fall into the shard."""
-        return tuple(epoch for epoch in self.plan.echo.sweep_epochs if self.first <= epoch < self.stop)
+        return tuple(epoch for epoch in self.plan.sweep_epochs if self.first <= epoch < self.stop)
 
     def stream(self, name: str, shared: bool = False) -> np.random.Generator:
         """Random numbers of one of the streams, those of this shard or those that all share."""
@@ -219,8 +221,12 @@ def _sweep(task: ShardTask, radio: RadioScene) -> tuple[EchoSweep | None, NDArra
         return None, np.empty((0, 0, 0), dtype=np.complex128)
     same = plan.echo.carrier_hz == plan.radio.carrier_hz
     sweep = sweep_echo(plan, radio if same else None, task.sweeps)
+    heard = sweep.response
+    if plan.echo.isolation_db is not None:
+        streams = task.stream("coupling", shared=True), task.stream("leakage")
+        heard = heard + leakage_response(plan.echo, plan.echo.isolation_db, len(heard), *streams)
     response = miscalibrate(
-        sweep.response,
+        heard,
         plan.echo.grid(),
         plan.echo.gain_error_db,
         float(np.deg2rad(plan.echo.phase_error_deg)),

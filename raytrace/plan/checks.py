@@ -152,7 +152,7 @@ def _check_agent(plan: FloorPlan, lines: shapely.STRtree) -> None:
         track = plan.track()
     except InputError as error:
         raise PlanFault(f"agent.{error}") from error
-    beyond = [epoch for epoch in plan.echo.sweep_epochs if epoch >= agent.epochs]
+    beyond = [epoch for epoch in plan.sweep_epochs if epoch >= agent.epochs]
     if beyond:
         raise PlanFault(
             f"echo.sweep_epochs: expected epochs below agent.epochs = {agent.epochs}, got {beyond[0]}"

@@ -16,6 +16,8 @@ Point2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
 Point3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 
+_SPEED_MARGIN = 1.5  # a device's largest speed over its speed, where a plan states none
+
 
 class Clock(Part):
     """A clock: ``offset_s`` ahead at the first epoch, gaining ``drift_ppm`` microseconds a second."""
@@ -48,6 +50,9 @@ class Agent(Part):
     With the orientation ``fixed`` the axes of its arrays are turned by ``heading_deg``
     against the plan's all the way; with ``travel`` they turn with it, by ``heading_deg``
     against the direction of travel.
+
+    ``max_speed_m_s`` is what the device knows of itself: it never moves faster. By default half as
+    fast again as it moves.
     """
 
     waypoints_m: Annotated[tuple[Point2, ...], Field(min_length=2, strict=False)]
@@ -59,6 +64,21 @@ class Agent(Part):
     heading_deg: Finite = 0.0
     orientation: Literal["fixed", "travel"] = added("fixed")
     clock: Clock = added(Clock())
+    max_speed_m_s: Positive | None = added(None)
+
+    @model_validator(mode="after")
+    def _is_no_faster(self) -> Agent:
+        if self.max_speed_m_s is not None and self.max_speed_m_s < self.speed_m_s:
+            raise ValueError(
+                f"expected max_speed_m_s of at least speed_m_s = {self.speed_m_s:g}, "
+                f"got {self.max_speed_m_s:g}"
+            )
+        return self
+
+    @property
+    def largest_speed_m_s(self) -> float:
+        """The largest speed that the device knows of itself, metres per second."""
+        return _SPEED_MARGIN * self.speed_m_s if self.max_speed_m_s is None else self.max_speed_m_s
 
 
 class FurtherAgent(Agent):

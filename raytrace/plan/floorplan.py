@@ -190,6 +190,12 @@ class FloorPlan(Part):
         agent = self.agent
         return travel_azimuths(agent.waypoints_m, agent.smoothing_m, agent.step_m, agent.epochs)
 
+    @property
+    def sweep_epochs(self) -> tuple[int, ...]:
+        """Epochs of the beam sweeps, ascending as given or every so many."""
+        every = self.echo.sweep_every
+        return self.echo.sweep_epochs if every is None else tuple(range(0, self.agent.epochs, every))
+
     def clock_errors_s(self) -> NDArray[np.float64]:
         """What the clocks add to every delay, shape (epochs, anchors), seconds: agent's less anchor's."""
         times = self.times_s()

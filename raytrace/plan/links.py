@@ -169,6 +169,10 @@ class Echo(_Signal):
     angle of incidence, on ``fan_rays`` rays all around (0: pencil beams, as the paper).
     ``gain_error_db`` and ``phase_error_deg`` are the standard deviations of each beam's
     two-way calibration error, ``range_error_m`` that of the front end's delay.
+
+    The beams sweep at ``sweep_epochs`` or, with ``sweep_every = K``, at epochs 0, K, 2 K, ... With
+    ``isolation_db`` the transmitter leaks into the receiver, ``leakage_delay_s`` later and with
+    ``leakage_phase_noise_deg``: see :mod:`raytrace.radio.leakage`.
     """
 
     symbols: Count = 14
@@ -185,6 +189,16 @@ class Echo(_Signal):
     range_error_m: NonNegative = 0.0
     beams: Beams = Beams()
     sweep_epochs: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1, strict=False)] = (0,)
+    sweep_every: Count | None = added(None)
+    isolation_db: Finite | None = added(None)
+    leakage_delay_s: NonNegative = added(0.5e-9)
+    leakage_phase_noise_deg: Annotated[float, Field(ge=0.0, le=30.0)] = added(1.0)
+
+    @model_validator(mode="after")
+    def _sweeps_one_way(self) -> Echo:
+        if self.sweep_every is not None and self.sweep_epochs != (0,):
+            raise ValueError(f"expected sweep_epochs or sweep_every, got both ({self.sweep_every})")
+        return self
 
     def noise_variance(self) -> float:
         """Noise variance on one tone of one beam's response (dimensionless)."""

@@ -76,7 +76,7 @@ def sweep_echo(
     radio : RadioScene, optional
         Its scene at the carrier of ``plan.echo``; by default it is built.
     epochs : tuple of int, optional
-        When to sweep, at least once; by default as ``plan.echo.sweep_epochs`` says.
+        When to sweep, at least once; by default as ``plan.sweep_epochs`` says.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def sweep_echo(
         If the ray tracer cannot run on this machine.
     """
     radio = build_scene(plan, plan.echo.carrier_hz) if radio is None else radio
-    epochs = plan.echo.sweep_epochs if epochs is None else epochs
+    epochs = plan.sweep_epochs if epochs is None else epochs
     places = plan.track()[list(epochs)]
     if plan.echo.model == "radar-equation":
         headings = plan.headings_rad()[list(epochs)]

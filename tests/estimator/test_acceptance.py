@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from estimator.dataset import open_dataset
-from estimator.extract import extract_epochs, sense_walls
+from estimator.extract import extract_epochs, sense_sweeps
 from estimator.geometry import rotate, vrp_of_line
 from raytrace.dataset.generate import generate
 from raytrace.dataset.shards import stored_paths
@@ -98,7 +98,7 @@ def test_walls_of_the_first_sweep(tmp_path: Path, floor: bool) -> None:
     nees, false = [], 0
     for seed in range(1, SEEDS + 1):
         generate(plan, tmp_path / str(seed), seed)
-        for wall in sense_walls(open_dataset(tmp_path / str(seed))):
+        for wall in sense_sweeps(open_dataset(tmp_path / str(seed)))[0]:
             error = wall.mean_m - vrps[np.argmin(np.linalg.norm(vrps - wall.mean_m, axis=1))]
             distance = min(BARS_M, key=lambda d, w=wall: abs(d - 0.5 * np.linalg.norm(w.mean_m)))
             if np.linalg.norm(error) > 2.0:

@@ -17,8 +17,8 @@ from estimator.arrays import BeamSet
 from estimator.channel.model import delay_atoms
 from estimator.channel.nomp import NompConfig
 from estimator.dataset import Dataset, DatasetWriter, open_dataset
-from estimator.errors import ConfigurationError, FileFormatError, InputError
-from estimator.extract import ExtractConfig, extract, extract_epochs, sense_walls
+from estimator.errors import ConfigurationError, FileFormatError
+from estimator.extract import ExtractConfig, extract, extract_epochs, sense_sweeps
 from estimator.geometry import vrp_of_line
 from estimator.measurements import Epoch, MeasurementSet, load_measurements, save_measurements
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
@@ -65,13 +65,13 @@ def passive_shard(cfr: np.ndarray, anchors: list[str], first: int = 0) -> xr.Dat
     )
 
 
-def echo_shard(echo: np.ndarray, epoch: int = 0) -> xr.Dataset:
+def echo_shard(echo: np.ndarray, *epochs: int) -> xr.Dataset:
     dims = ("sweep", "beam", "tone")
     return xr.Dataset(
         {
             "echo_re": (dims, echo.real.astype(np.float32)),
             "echo_im": (dims, echo.imag.astype(np.float32)),
-            "sweep_epoch": ("sweep", np.array([epoch])),
+            "sweep_epoch": ("sweep", np.array(epochs or [0])),
         }
     )
 
@@ -353,14 +353,42 @@ def test_snapshots_and_antennas_of_anchors_are_used_together(make: Callable[...,
 def test_a_dataset_without_a_sweep_has_no_walls(make: Callable[..., Dataset]) -> None:
     """Without an echo shard there are epochs and no walls, also where the manifest knows no echo."""
     dataset = make(without=("echo",))
-    assert sense_walls(dataset) == ()
+    assert sense_sweeps(dataset) == {}
+    assert extract(dataset).walls == ()
     assert len(extract(dataset).epochs) == 2
 
 
-def test_a_sweep_elsewhere_is_refused(make: Callable[..., Dataset]) -> None:
-    """A first sweep that is not at the start would give walls about another point."""
-    dataset = make(echo=echo_shard(np.zeros((1, 8, GRID.tones), dtype=complex), epoch=5))
-    with pytest.raises(InputError, match="expected a beam sweep at epoch 0, the first is at 5"):
+@pytest.mark.parametrize("loud", [(0, 2), (2,), (0,)])
+def test_every_sweep_goes_to_its_epoch(
+    room: Room, make: Callable[..., Dataset], tmp_path: Path, loud: tuple[int, ...]
+) -> None:
+    """The first epoch's sweep gives the walls at the start, later ones belong to their epochs."""
+    (sweep,) = room.dataset.shards("echo")
+    echo = sweep["echo_re"].values[0] + 1j * sweep["echo_im"].values[0]
+    silent = np.zeros_like(echo)
+    described = {name: room.dataset.manifest[name] for name in ("echo", "radio")}
+    cfr = np.zeros((3, 1, 1, OfdmGrid(28e9, 120e3, 3276, 4).tones), dtype=complex)
+    measured = extract(
+        make(
+            passive=passive_shard(cfr, ["a"]),
+            echo=echo_shard(np.stack([echo if epoch in loud else silent for epoch in (0, 2)]), 0, 2),
+            manifest={**described, "epochs": 3, "agent": {"max_speed_m_s": 0.75}},
+        )
+    )
+    save_measurements(measured, tmp_path / "m.nc")
+    again = load_measurements(tmp_path / "m.nc")
+    for kept in (measured, again):
+        assert kept.max_speed_m_s == 0.75
+        assert len(kept.walls) == (4 if 0 in loud else 0)
+        assert [len(epoch.sweep) for epoch in kept.epochs] == [0, 0, 4 if 2 in loud else 0]
+    for wall, seen in zip(measured.walls, again.epochs[2].sweep, strict=False):
+        np.testing.assert_array_equal(wall.mean_m, seen.mean_m)
+
+
+def test_a_sweep_without_channels_is_refused(make: Callable[..., Dataset]) -> None:
+    """A sweep of an epoch that has no channels would be lost in silence."""
+    dataset = make(echo=echo_shard(np.zeros((1, 8, GRID.tones), dtype=complex), 5))
+    with pytest.raises(FileFormatError, match="beam sweeps at epochs with channels, got one at epoch 5"):
         extract(dataset)
 
 
@@ -374,7 +402,7 @@ def test_channels_that_do_not_fit_the_manifest_are_refused(make: Callable[..., D
 def test_echoes_that_do_not_fit_the_manifest_are_refused(make: Callable[..., Dataset]) -> None:
     """Another number of beams than the manifest says is named."""
     with pytest.raises(FileFormatError, match="expected an echo of 8 beams and 64 tones.* got 9 and 64"):
-        sense_walls(make(echo=echo_shard(np.zeros((1, 9, GRID.tones), dtype=complex))))
+        sense_sweeps(make(echo=echo_shard(np.zeros((1, 9, GRID.tones), dtype=complex))))
 
 
 def test_missing_parts_are_named(make: Callable[..., Dataset]) -> None:

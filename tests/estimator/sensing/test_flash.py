@@ -14,6 +14,8 @@ from estimator.errors import ConfigurationError
 from estimator.geometry import mirror
 from estimator.sensing.flash import Flash, FlashConfig, Verdict, find_flashes, flash_walls
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
+from raytrace.plan.links import Echo
+from raytrace.radio.leakage import leakage_response
 
 GRID = OfdmGrid(28e9, 120e3, 3276, comb=4, symbols=14)
 BEAMS = BeamSet(panels=4, elements=16, beams=64, heading_rad=np.deg2rad(7.0))
@@ -178,9 +180,40 @@ def test_nothing_stands_behind_a_wall() -> None:
     assert [f.verdict for f in flashes] == [Verdict.WALL, Verdict.BEHIND]
 
 
+def test_a_wall_stands_before_its_image_over_the_ceiling() -> None:
+    """A return in front of a stronger one, not much weaker, is the wall; a much weaker one is none."""
+    flashes = judged([flash(35.0, 30.0, 0.6 * REFLECTION), flash(35.8, 30.0)])
+    assert sorted((round(f.range_m), f.verdict) for f in flashes) == [
+        (35, Verdict.WALL),
+        (36, Verdict.BEHIND),
+    ]
+    weak = judged([flash(30.0, 30.0, 0.25 * REFLECTION), flash(35.8, 30.0)])
+    assert [round(f.range_m) for f in weak if f.verdict is Verdict.WALL] == [36]
+
+
+def test_images_in_phase_are_no_impossible_gain() -> None:
+    """A metal wall with unresolved images over floor and ceiling is stronger than a mirror, and a wall."""
+    images = [flash(20.0, 30.0, 0.95), *(flash(20.0 + GRID.wavelength_m, 30.0, 0.9) for _ in range(3))]
+    assert [f.verdict for f in judged(images)] == [Verdict.WALL]
+
+
+@pytest.mark.parametrize("isolation_db", [40.0, 60.0, 80.0])
+def test_near_walls_are_found_through_leakage(isolation_db: float) -> None:
+    """Walls at .3 to 1.5 m beside the transmitter's leakage: found where they are, and no other."""
+    near = [flash(0.3, 180.0), flash(0.7, -90.0), flash(1.5, 90.0), flash(6.0, 0.0)]
+    rng = np.random.default_rng(SEED)
+    leaked = leakage_response(Echo(), isolation_db, 1, rng, rng)[0]
+    walls = flash_walls(find_flashes(sweep(rng, near) + leaked, NOISE, GRID, BEAMS))
+    assert len(walls) == 4
+    for wall in walls:
+        true = [2.0 * f.range_m * np.array([np.cos(f.arrival_rad), np.sin(f.arrival_rad)]) for f in near]
+        error = min((wall.mean_m - vrp for vrp in true), key=np.linalg.norm)
+        assert error @ np.linalg.solve(wall.covariance_m2, error) < 9.0
+
+
 def test_gains_that_no_wall_has_are_rejected() -> None:
-    """Stronger than a mirror, or weaker than the weakest material allowed: not a flat wall."""
-    flashes = judged([flash(12.0, 30.0, 2.0), flash(40.0, 120.0, 0.07), flash(20.0, -100.0)])
+    """Stronger than a mirror with its images, or weaker than the weakest material: not a flat wall."""
+    flashes = judged([flash(12.0, 30.0, 6.0), flash(40.0, 120.0, 0.07), flash(20.0, -100.0)])
     assert [f.verdict for f in flashes] == [Verdict.IMPLAUSIBLE, Verdict.WALL, Verdict.IMPLAUSIBLE]
 
 

@@ -159,6 +159,12 @@ BAD_VALUES = [
         r"echo\.beams: expected beams to be a multiple of panels = 4, got 63",
     ),
     ({"echo": {"model": "magic"}}, r"echo\.model: expected 'physical' or 'radar-equation', got 'magic'"),
+    (
+        {"echo": {"sweep_epochs": [0, 2], "sweep_every": 2}},
+        "echo: expected sweep_epochs or sweep_every, got both",
+    ),
+    ({"echo": {"sweep_every": 0}}, "echo.sweep_every"),
+    ({"agent.max_speed_m_s": 0.1}, "agent: expected max_speed_m_s of at least speed_m_s = 0.5, got 0.1"),
     ({"echo": {"sweep_epochs": [7]}}, r"echo\.sweep_epochs: expected epochs below agent\.epochs = 5, got 7"),
     ({"agent.orientation": "sideways"}, r"agent\.orientation: expected 'fixed' or 'travel', got 'sideways'"),
     ({"agent.clock": {"offset": 1e-9}}, r"agent\.clock\.offset: expected only known keys"),
