@@ -215,7 +215,8 @@ class EchoPursuit:
         window = np.hanning(self.grid.tones + 2)[1:-1]
         spectrum = scipy.fft.ifft(data * window, axis=1, norm="ortho")
         floor = np.median(np.abs(spectrum) ** 2, axis=1) / np.mean(window**2) / np.log(2.0)
-        return np.where(floor > _RAISED * noise_variance, np.sqrt(noise_variance / floor), 1.0)
+        raised = np.where(floor > _RAISED * noise_variance, floor, noise_variance)
+        return np.asarray(np.sqrt(noise_variance / raised))
 
     def _detect(
         self, search: _Search, residual: Complex, fit: EchoFit, noise_variance: float

@@ -63,7 +63,7 @@ def test_blanking_removes_near_delays_and_is_a_projection() -> None:
     model = EchoModel(GRID, BEAMS, 4.0)
     delays = rng.uniform(0.0, 4.0, 5) * model.turns_per_m / GRID.tone_spacing_hz
     near = rng.normal(size=(BEAMS.beams, 5)) @ delay_atoms(GRID, delays)
-    assert np.linalg.norm(model.blank(near)) < 1e-3 * np.linalg.norm(near)
+    assert np.linalg.norm(model.blank(near)) < 1e-2 * np.linalg.norm(near)
     data = rng.normal(size=(BEAMS.beams, GRID.tones)) + 0j
     once = model.blank(data)
     np.testing.assert_allclose(model.blank(once), once, atol=1e-12)

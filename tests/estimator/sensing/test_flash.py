@@ -246,7 +246,7 @@ def test_covariance_of_a_vrp_follows_the_polar_coordinates() -> None:
         ({"rule_azimuth_rad": np.inf}, "rule_azimuth_rad"),
         ({"same_direction_rad": -1.0}, "same_direction_rad"),
         ({"sidelobe_db": -1.0}, "sidelobe_db"),
-        ({"min_reflectivity_db": 5.0}, "expected min < max"),
+        ({"min_reflectivity_db": 15.0}, "expected min < max"),
     ],
 )
 def test_bad_settings_are_refused(settings: dict[str, float], message: str) -> None:

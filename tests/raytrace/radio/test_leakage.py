@@ -36,13 +36,13 @@ def test_all_power_arrives_at_the_delay() -> None:
 
 def test_phase_noise_is_common_and_between_tones() -> None:
     """Over sweeps a beam's phase spreads by what is stated; tones spread by that over the symbols' root."""
-    sweeps = 400
+    sweeps = 100
     heard = (
         leaked(ECHO, 60.0, sweeps)[:, 5]
         / leaked(Echo(leakage_phase_noise_deg=0.0, leakage_delay_s=1e-9), 60.0, 1)[0, 5]
     )
     phase = np.angle(heard.mean(axis=1))
-    assert np.rad2deg(np.std(phase)) == pytest.approx(2.0, rel=0.15)
+    assert np.rad2deg(np.std(phase)) == pytest.approx(2.0, rel=0.25)
     between = heard - heard.mean(axis=1, keepdims=True)
     expected = np.deg2rad(2.0) / np.sqrt(ECHO.symbols)
     assert np.sqrt(np.mean(np.abs(between) ** 2)) == pytest.approx(expected, rel=0.02)
