@@ -40,6 +40,7 @@ def register(app: typer.Typer) -> None:
             "trace l-room --out room",
             "trace my-plan.toml --out mine --seed 7 --jobs 4 --resume",
             "trace l-room --out part2 --shard-epochs 50 --part 2/3",
+            "trace office --out office --engine images",
         ),
         (campaign, "campaign rooms.toml --out rooms", "campaign rooms.toml --out rooms --jobs 4"),
         (append, "append rooms/l-room-short-seed1 --epochs 200"),
@@ -75,6 +76,12 @@ def trace(
         str, typer.Option(help="Passive channels as frequency or impulse responses: cfr, cir or both.")
     ] = "cfr",
     licence: Annotated[str, typer.Option(help="Terms of use, for the data card.")] = "",
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            help="What finds the paths, if not as the plan says: sionna, or images (needs no tracer)."
+        ),
+    ] = None,
     quiet: Quiet = False,
     strict: Strict = False,
 ) -> None:
@@ -86,9 +93,11 @@ def trace(
     from raytrace.dataset.agents import generate_agents
     from raytrace.dataset.generate import generate_part
     from raytrace.dataset.output import Output
-    from raytrace.plan.files import load_floorplan
+    from raytrace.plan.files import load_floorplan, updated
 
     plan = load_floorplan(scene)
+    if engine is not None:
+        plan = updated(plan, {"tracing.engine": engine})
     for repair in plan.repairs.lines():
         Reporter(quiet).say(f"hapslam: note: {repair}")
     output = Output(shard_epochs, content, licence)

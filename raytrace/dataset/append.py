@@ -30,7 +30,6 @@ from raytrace.dataset.output import Output
 from raytrace.dataset.shard_task import Progress
 from raytrace.dataset.shards import stored_plan
 from raytrace.plan.files import updated
-from raytrace.propagation.backend import prepare
 
 __all__ = ["append"]
 
@@ -74,7 +73,7 @@ def append(path: Path, epochs: int, progress: Progress | None = None, crew: Work
         plan = updated(begun, {"agent.epochs": epochs})
         stored = Output(**{**manifest["output"], "joints": joints})
         output = replace(stored, joints=(*joints, known)) if complete else stored
-        goal = head(plan, int(manifest["seed"]), output, prepare().version)
+        goal = head(plan, int(manifest["seed"]), output)
         require_same(path, manifest, {"versions": goal["versions"]})
         remove_temporaries(path)
         writer = DatasetWriter(path, goal, whole_shards(path, manifest))

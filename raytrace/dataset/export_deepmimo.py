@@ -27,8 +27,8 @@ from estimator.dataset import Dataset, publish, temporary_name, write_text
 from raytrace.dataset.shards import stored_paths, stored_plan
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.bounces import bounce_points
-from raytrace.propagation.images import surfaces_of
 from raytrace.propagation.paths import PathSet
+from raytrace.propagation.reflectors import surfaces_of
 
 __all__ = ["export_deepmimo"]
 

@@ -20,6 +20,7 @@ from raytrace.dataset.card import CARD, data_card
 from raytrace.dataset.manifest import statistics
 from raytrace.dataset.shards import truth_shard
 from raytrace.plan.floorplan import FloorPlan
+from raytrace.propagation.engine import judge
 from raytrace.propagation.paths import SPECULAR
 
 __all__ = ["finish"]
@@ -55,6 +56,9 @@ def finish(writer: DatasetWriter, plan: FloorPlan, head: Mapping[str, Any]) -> D
         reflects[entry["epochs"][0] + epoch[inside], anchor[inside], first_wall[at][inside]] = True
     truth = write_shard(writer.path, "truth", "truth.nc", truth_shard(plan, reflects), replace=True)
     counts = statistics(plan, writer.shards, np.concatenate(delays))
+    if plan.tracing.engine == "images":
+        verdict = judge(plan)
+        counts["judged_by_ray_tracer"] = None if verdict is None else verdict.as_dict()
     writer.add(truth)
     write_text(data_card({**head, "statistics": counts}, writer.shards), writer.path / CARD)
     remove_temporaries(writer.path)

@@ -24,7 +24,6 @@ from raytrace.dataset.manifest import head
 from raytrace.dataset.output import Output
 from raytrace.dataset.shard_task import Progress, ShardTask, Stages, make_shard
 from raytrace.plan.floorplan import FloorPlan
-from raytrace.propagation.backend import prepare
 from raytrace.propagation.passive import TraceReport
 
 __all__ = ["Generated", "generate", "generate_part", "make_shards"]
@@ -161,7 +160,7 @@ def _prepared(
     if not resume:
         require_place(out)
     settings = (Output() if output is None else output).chosen(plan)
-    return settings, head(plan, seed, settings, prepare().version)
+    return settings, head(plan, seed, settings)
 
 
 def make_shards(

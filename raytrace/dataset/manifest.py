@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,14 @@ from estimator.waveform import SPEED_OF_LIGHT_M_S, free_space_loss_db
 from raytrace.dataset.output import Output
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.links import Echo, Radio
+from raytrace.propagation.engine import engine_versions
 
 __all__ = ["head", "statistics"]
 
-_PACKAGES = ("sionna-rt", "mitsuba", "drjit", "numpy")
 _FRAME = "origin: agent's start (RP); axes: the agent's arrays at the start; metres, radians"
 
 
-def head(plan: FloorPlan, seed: int, output: Output, llvm: str) -> dict[str, Any]:
+def head(plan: FloorPlan, seed: int, output: Output) -> dict[str, Any]:
     """What is known before anything is traced, and all that the estimator may know (JSON types).
 
     Parameters
@@ -32,8 +31,11 @@ def head(plan: FloorPlan, seed: int, output: Output, llvm: str) -> dict[str, Any
         Seed of the noise.
     output : Output
         How the dataset is cut, and what it holds.
-    llvm : str
-        Version of the LLVM library that compiles the ray tracer's kernels.
+
+    Raises
+    ------
+    BackendError
+        If the plan's engine cannot run on this machine.
     """
     agent_array, beams = plan.radio.agent_array, plan.echo.beams.beam_set()
     return {
@@ -44,7 +46,7 @@ def head(plan: FloorPlan, seed: int, output: Output, llvm: str) -> dict[str, Any
         "epochs": plan.agent.epochs,
         "agent": {"max_speed_m_s": plan.agent.largest_speed_m_s},
         "frame": _FRAME,
-        "versions": {**{name: metadata.version(name) for name in _PACKAGES}, "llvm": llvm},
+        "versions": engine_versions(plan),
         "radio": {
             **_signal(plan.radio),
             "eirp_dbm": plan.radio.eirp_dbm,

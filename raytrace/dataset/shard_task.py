@@ -27,10 +27,9 @@ from estimator.threads import one_blas_thread
 from raytrace.dataset.output import Output
 from raytrace.dataset.shards import echo_shard, passive_shard, paths_shard
 from raytrace.plan.floorplan import FloorPlan
-from raytrace.propagation.backend import prepare
-from raytrace.propagation.passive import trace_bent, trace_specular
+from raytrace.propagation.engine import Scene, scene_of, specular_paths, traced
+from raytrace.propagation.passive import trace_bent
 from raytrace.propagation.paths import DIFFRACTION, REFRACTION, PathList, PathSet
-from raytrace.propagation.scene import RadioScene, build_scene
 from raytrace.radio.channel import add_noise
 from raytrace.radio.echo import EchoSweep, sweep_echo
 from raytrace.radio.impairments import jitter, miscalibrate
@@ -161,16 +160,15 @@ def make_shard(task: ShardTask, folder: Path, stages: Stages | None = None) -> M
     place = {"epochs": [task.first, task.stop]}
     with _TRACER:
         with stages("scene"):
-            prepare()
-            radio = build_scene(plan, plan.radio.carrier_hz)
+            radio = scene_of(plan, plan.radio.carrier_hz)
         with stages("passive"):
             positions = plan.track()[task.first : task.stop]
-            paths, report = trace_specular(
+            paths, report = specular_paths(
                 plan, radio, plan.anchors_m(), positions, plan.tracing.depth, polarised=plan.polarised
             )
             others: dict[str, int] = {}
             if plan.tracing.bends:
-                bent = trace_bent(plan, radio, positions)
+                bent = trace_bent(plan, traced(radio), positions)
                 paths = PathSet.build(
                     PathList.concatenate([paths.flat(), bent]), len(positions), len(plan.anchors)
                 )
@@ -179,7 +177,7 @@ def make_shard(task: ShardTask, folder: Path, stages: Stages | None = None) -> M
             response = receive(plan, paths, task.epochs)
             diffuse_paths = 0
             if plan.scatters:
-                diffuse, diffuse_paths = diffuse_response(plan, radio, task.epochs)
+                diffuse, diffuse_paths = diffuse_response(plan, traced(radio), task.epochs)
                 response = response + diffuse
             response = jitter(
                 response,
@@ -214,7 +212,7 @@ def _counts(paths: PathList) -> dict[str, int]:
     return {name: int(np.sum((paths.interactions == kind).any(axis=1))) for name, kind in kinds}
 
 
-def _sweep(task: ShardTask, radio: RadioScene) -> tuple[EchoSweep | None, NDArray[np.complex128]]:
+def _sweep(task: ShardTask, radio: Scene) -> tuple[EchoSweep | None, NDArray[np.complex128]]:
     """The sweeps of a shard, if there are any, without and with calibration errors and noise."""
     plan = task.plan
     if not task.sweeps:

@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from estimator.errors import InputError
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.space import confined
-from raytrace.propagation.images import image_paths, mirrored, surfaces_of
+from raytrace.propagation.images import image_paths
 from raytrace.propagation.paths import PathList
+from raytrace.propagation.reflectors import mirrored, surfaces_of
 
 __all__ = ["COLOURS", "draw_coverage", "draw_paths", "draw_plan", "path_vertices", "received_power", "style"]
 

@@ -36,6 +36,7 @@ def check_plan(plan: FloorPlan) -> None:
         For the first thing found wrong.
     """
     _check_names(plan)
+    _check_engine(plan)
     _check_walls(plan)
     _check_materials(plan)
     lines = shapely.STRtree(shapely.linestrings(np.stack(plan.walls_m(), axis=1)))
@@ -48,6 +49,14 @@ def check_plan(plan: FloorPlan) -> None:
             _check_targets(alone, lines)
         except PlanFault as fault:
             raise PlanFault(f"agents[{index}] ({name}): {fault}") from fault
+
+
+def _check_engine(plan: FloorPlan) -> None:
+    if plan.tracing.engine == "images" and plan.scatters:
+        raise PlanFault(
+            'tracing.engine: expected "sionna" where materials scatter, got "images" '
+            "(tracing.diffuse = false leaves scattering out)"
+        )
 
 
 def _check_names(plan: FloorPlan) -> None:

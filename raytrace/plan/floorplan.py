@@ -53,6 +53,9 @@ class Tracing(Part):
     ``refraction`` adds paths through walls (each wall counts as a bounce), ``diffraction``
     those around the corners at which two walls meet, ``edge_diffraction`` those around free
     ends and rims, too. There is no oracle for these.
+
+    The ``engine`` is ``sionna``, the ray tracer, or ``images``, the image method by itself: for
+    specular paths alone, and where the ray tracer is not installed.
     """
 
     depth: Annotated[int, Field(ge=0, le=3)] = 2
@@ -62,6 +65,7 @@ class Tracing(Part):
     refraction: bool = added(False)
     diffraction: bool = added(False)
     edge_diffraction: bool = added(False)
+    engine: Literal["sionna", "images"] = added("sionna")
 
     @property
     def bends(self) -> bool:
@@ -69,9 +73,11 @@ class Tracing(Part):
         return self.refraction or self.diffraction
 
     @model_validator(mode="after")
-    def _edges_need_diffraction(self) -> Tracing:
+    def _fits_together(self) -> Tracing:
         if self.edge_diffraction and not self.diffraction:
             raise ValueError("expected diffraction = true with edge_diffraction, got false")
+        if self.engine == "images" and self.bends:
+            raise ValueError('expected engine = "sionna" with refraction or diffraction, got "images"')
         return self
 
 

@@ -18,8 +18,8 @@ from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.directions import angles_of
 from raytrace.propagation.fields import specular_amplitude, specular_transfer
-from raytrace.propagation.images import mirrored, surfaces_of
 from raytrace.propagation.paths import NO_SURFACE, PathList
+from raytrace.propagation.reflectors import mirrored, surfaces_of
 
 __all__ = ["bounce_points", "sharpened"]
 

@@ -20,77 +20,19 @@ from numpy.typing import ArrayLike, NDArray
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.directions import angles_of
-from raytrace.propagation.fields import specular_amplitude
+from raytrace.propagation.fields import specular_amplitude, specular_transfer
 from raytrace.propagation.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathList, PathSet
+from raytrace.propagation.reflectors import RIM_M, TIP, Surfaces, blocked, mirrored, surfaces_of
 
-__all__ = ["Surfaces", "blocked", "image_paths", "mirrored", "surfaces_of"]
+__all__ = ["image_paths"]
 
 Array = NDArray[np.float64]
 
-# What meets a surface's rim to within this is taken to meet it.
-_RIM_M = 1e-6
-# Pairs of a position and a sequence of surfaces, or of a leg and a surface, looked at together: what is
-# written about them stays in the processor's cache.
+# Pairs of a position and a sequence of surfaces looked at together: what is written about them stays in
+# the processor's cache.
 _PAIRS = 60_000
 # By so much more than the rim a bounce may miss its surface until it is looked at closely.
 _SLACK_M = 1e-6
-# Fraction of a leg ignored at either end when it is tested for obstacles: it starts on a surface.
-_TIP = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class Surfaces:
-    """Rectangles in space: every wall, then floor, then ceiling.
-
-    Parameters
-    ----------
-    origin : ndarray, shape (surfaces, 3)
-        One corner, metres.
-    sides : ndarray, shape (surfaces, 2, 3)
-        Unit vectors along the two sides that meet there.
-    lengths : ndarray, shape (surfaces, 2)
-        Lengths of these sides, metres.
-    normal : ndarray, shape (surfaces, 3)
-        Unit normal, the cross product of the sides.
-    """
-
-    origin: Array
-    sides: Array
-    lengths: Array
-    normal: Array
-
-    def __len__(self) -> int:
-        return len(self.origin)
-
-    def corners(self) -> Array:
-        """The four corners of every rectangle in turn, shape (surfaces, 4, 3), metres."""
-        first, second = np.moveaxis(self.sides * self.lengths[..., None], 1, 0)
-        steps = [np.zeros_like(first), first, first + second, second]
-        return np.stack([self.origin + step for step in steps], axis=1)
-
-
-def surfaces_of(plan: FloorPlan) -> Surfaces:
-    """The reflecting rectangles of a plan, in the order of ``plan.surface_names``.
-
-    Floor and ceiling are the bounding rectangle of the walls; the walls confine what
-    can be reached of them.
-    """
-    start, end = plan.walls_m()
-    low, high = np.minimum(start, end).min(axis=0), np.maximum(start, end).max(axis=0)
-    rectangles = [
-        ((*a, 0.0), (*(b - a), 0.0), (0.0, 0.0, wall.height_m))
-        for wall, a, b in zip(plan.walls, start, end, strict=True)
-    ]
-    width, depth = high - low
-    if plan.has_floor:
-        rectangles.append(((*low, 0.0), (width, 0.0, 0.0), (0.0, depth, 0.0)))
-    if plan.has_ceiling:
-        rectangles.append(((*low, plan.ceiling_height_m), (width, 0.0, 0.0), (0.0, depth, 0.0)))
-    origin, first, second = np.moveaxis(np.array(rectangles, dtype=np.float64), 1, 0)
-    sides = np.stack([first, second], axis=1)
-    lengths = np.linalg.norm(sides, axis=-1)
-    sides /= lengths[..., None]
-    return Surfaces(origin, sides, lengths, np.cross(sides[:, 0], sides[:, 1]))
 
 
 def image_paths(
@@ -98,16 +40,18 @@ def image_paths(
     positions_m: ArrayLike | None = None,
     depth: int | None = None,
     anchors_m: ArrayLike | None = None,
-    rim_m: float = _RIM_M,
+    rim_m: float = RIM_M,
     leg_m: float = 0.0,
     among: NDArray[np.int16] | None = None,
+    carrier_hz: float | None = None,
+    polarised: bool = False,
 ) -> PathSet:
     """All specular paths from every anchor to every position.
 
     Parameters
     ----------
     plan : FloorPlan
-        Walls, floor, ceiling and their materials; the carrier of its ``radio``.
+        Walls, floor, ceiling and their materials.
     positions_m : array_like, shape (n, 3), optional
         Positions of the agent, metres; by default the plan's track.
     depth : int, optional
@@ -123,6 +67,10 @@ def image_paths(
         Paths with a leg shorter than this are left out: both its ends are at one corner.
     among : ndarray of int16, shape (n, bounces), optional
         Only paths that bounce on one of these sequences of surfaces, as ``PathList.walls``.
+    carrier_hz : float, optional
+        Carrier of the gains, hertz; by default that of the plan's ``radio``.
+    polarised : bool
+        Compute ``PathList.transfer``, the gains between all polarisations, too.
 
     Returns
     -------
@@ -132,6 +80,7 @@ def image_paths(
     positions = plan.track() if positions_m is None else np.asarray(positions_m, dtype=np.float64)
     anchors = plan.anchors_m() if anchors_m is None else np.asarray(anchors_m, dtype=np.float64)
     depth = plan.tracing.depth if depth is None else depth
+    gain = _Gain(plan, plan.radio.carrier_hz if carrier_hz is None else carrier_hz, polarised)
     surfaces = surfaces_of(plan)
     parts = []
     for index, anchor in enumerate(anchors):
@@ -143,7 +92,7 @@ def image_paths(
             )
             images = _images(surfaces, anchor, sequences)
             found = _visible(surfaces, positions, sequences, images, rim_m, leg_m)
-            parts.append(_path_list(plan, surfaces, index, max(depth, 1), *found))
+            parts.append(_path_list(gain, surfaces, index, max(depth, 1), *found))
     return PathSet.build(PathList.concatenate(parts), len(positions), len(anchors))
 
 
@@ -176,8 +125,27 @@ def _visible(
     return epoch[clear], sequences[row[clear]], vertices[clear]
 
 
+@dataclass(frozen=True)
+class _Gain:
+    """Which gains of paths are wanted."""
+
+    plan: FloorPlan
+    carrier_hz: float
+    polarised: bool
+
+    def of(
+        self, vertices: Array, hit: NDArray[np.int64], normal: Array
+    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """``PathList.amplitude`` and ``PathList.transfer`` of paths of one order."""
+        if self.polarised:
+            transfer = specular_transfer(self.plan, vertices, hit, normal, self.carrier_hz)
+            return transfer[:, 0, 0], transfer
+        amplitude = specular_amplitude(self.plan, vertices, hit, normal, self.carrier_hz)
+        return amplitude, np.zeros((len(hit), 0, 0), dtype=np.complex128)
+
+
 def _path_list(
-    plan: FloorPlan,
+    gain: _Gain,
     surfaces: Surfaces,
     anchor: int,
     bounces: int,
@@ -192,11 +160,12 @@ def _path_list(
     arrival = angles_of(vertices[:, -2] - vertices[:, -1])
     walls = np.full((len(epoch), bounces), NO_SURFACE, dtype=np.int16)
     walls[:, :order] = hit
+    amplitude, transfer = gain.of(vertices, hit, surfaces.normal)
     return PathList(
         epoch=epoch,
         anchor=np.full(len(epoch), anchor, dtype=np.int64),
         delay_s=length / SPEED_OF_LIGHT_M_S,
-        amplitude=specular_amplitude(plan, vertices, hit, surfaces.normal, plan.radio.carrier_hz),
+        amplitude=amplitude,
         departure_azimuth_rad=departure[0],
         departure_elevation_rad=departure[1],
         arrival_azimuth_rad=arrival[0],
@@ -204,7 +173,7 @@ def _path_list(
         order=np.full(len(epoch), order, dtype=np.int16),
         walls=walls,
         interactions=np.where(walls == NO_SURFACE, NO_INTERACTION, SPECULAR).astype(np.int8),
-        transfer=np.zeros((len(epoch), 0, 0), dtype=np.complex128),
+        transfer=transfer,
     )
 
 
@@ -243,13 +212,6 @@ def _images(surfaces: Surfaces, anchor: Array, sequences: NDArray[np.int64]) -> 
     return np.stack(images, axis=1)
 
 
-def mirrored(surfaces: Surfaces, points: Array, index: NDArray[np.int64]) -> Array:
-    """Images (q, 3) of points in the planes of surfaces ``index`` (q,)."""
-    normal = surfaces.normal[index]
-    height = np.sum((points - surfaces.origin[index]) * normal, axis=-1)
-    return np.asarray(points - 2.0 * height[:, None] * normal)
-
-
 def _lit(surfaces: Surfaces, images: Array, last: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which surfaces may meet the beams (q,) from images through the surfaces ``last``; (q, surfaces).
 
@@ -259,7 +221,7 @@ def _lit(surfaces: Surfaces, images: Array, last: NDArray[np.int64]) -> NDArray[
     edges = corners[last] - images[:, None]
     sides = np.cross(edges, np.roll(edges, -1, axis=1))
     inward = np.sign(np.einsum("qpi,qi->qp", sides, edges.mean(axis=1)))
-    sides *= (inward / np.maximum(np.linalg.norm(sides, axis=-1), _TIP))[..., None]
+    sides *= (inward / np.maximum(np.linalg.norm(sides, axis=-1), TIP))[..., None]
     normal = surfaces.normal[last]
     height = np.sum((surfaces.origin[last] - images) * normal, axis=-1)
     beyond = np.einsum("sci,qi->qsc", corners, normal * np.sign(height)[:, None])
@@ -267,7 +229,7 @@ def _lit(surfaces: Surfaces, images: Array, last: NDArray[np.int64]) -> NDArray[
     within = np.einsum("sci,qpi->qpsc", corners, sides)
     within -= np.einsum("qi,qpi->qp", images, sides)[..., None, None]
     flat = (inward == 0.0).any(axis=1) | (height == 0.0)  # seen edge on: no beam to speak of
-    lit = (within.max(axis=-1) > _TIP).all(axis=1) & (beyond.max(axis=-1) > _TIP)
+    lit = (within.max(axis=-1) > TIP).all(axis=1) & (beyond.max(axis=-1) > TIP)
     return np.asarray(lit | flat[:, None])
 
 
@@ -291,7 +253,7 @@ def _unfold(
             fraction = gap / slope
             margin = -rim_m * np.linalg.norm(towards, axis=-1) / np.abs(slope)
         point = vertices[0] + np.where(np.isfinite(fraction), fraction, 0.0)[:, None] * towards
-        on = (fraction > _TIP) & (fraction < 1.0 - _TIP) & _on_rectangle(surfaces, wall, point, margin)
+        on = (fraction > TIP) & (fraction < 1.0 - TIP) & _on_rectangle(surfaces, wall, point, margin)
         epoch, row = epoch[on], row[on]
         vertices = [point[on], *(vertex[on] for vertex in vertices)]
     return epoch, row, np.stack([images[row, 0], *vertices], axis=1)
@@ -340,37 +302,3 @@ def _on_rectangle(
     margin_m = margin_m[:, None]
     within = (along >= -margin_m) & (along <= surfaces.lengths[index] + margin_m)
     return np.asarray(within.all(axis=-1))
-
-
-def blocked(surfaces: Surfaces, start: Array, end: Array, rim_m: float = _RIM_M) -> NDArray[np.bool_]:
-    """Whether legs from (..., 3) to (..., 3) meet any surface, grown by a rim, between their ends; (...)."""
-    legs = np.stack(np.broadcast_arrays(start, end)).reshape(2, -1, 3)
-    block = max(1, _PAIRS // len(surfaces))
-    met = [
-        _any_met(surfaces, legs[0, first : first + block], legs[1, first : first + block], rim_m)
-        for first in range(0, legs.shape[1], block)
-    ]
-    shape = np.broadcast_shapes(np.shape(start), np.shape(end))[:-1]
-    return np.concatenate([np.zeros(0, dtype=bool), *met]).reshape(shape)
-
-
-def _any_met(surfaces: Surfaces, start: Array, end: Array, rim_m: float) -> NDArray[np.bool_]:
-    """:func:`blocked` of legs from (n, 3) to (n, 3), all at once."""
-    towards = end - start
-    slope = towards @ surfaces.normal.T
-    gap = np.sum(surfaces.origin * surfaces.normal, axis=-1) - start @ surfaces.normal.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        fraction = gap / slope
-    crossing = np.flatnonzero((fraction > _TIP) & (fraction < 1.0 - _TIP))
-    leg, surface = np.divmod(crossing, len(surfaces))
-    share = fraction.ravel()[crossing]
-    margin = rim_m * np.linalg.norm(towards, axis=-1)[leg] / np.abs(slope.ravel()[crossing])
-    met = np.ones(len(crossing), dtype=bool)
-    for side in range(2):
-        axes = surfaces.sides[:, side]
-        at = (start @ axes.T - np.sum(surfaces.origin * axes, axis=-1)).ravel()[crossing]
-        along = at + share * (towards @ axes.T).ravel()[crossing]
-        met &= (along >= -margin) & (along <= surfaces.lengths[surface, side] + margin)
-    result = np.zeros(len(start), dtype=bool)
-    result[leg[met]] = True
-    return result

@@ -3,7 +3,7 @@
 Surfaces of one material and thickness share one mesh (a solve costs time per object,
 not per wall); which wall a triangle belongs to follows from its number. For diffraction,
 walls of one mesh that meet share the vertices of the corner. Geometry is that of
-:func:`raytrace.propagation.images.surfaces_of`. Call :func:`raytrace.propagation.backend.prepare`
+:func:`raytrace.propagation.reflectors.surfaces_of`. Call :func:`raytrace.propagation.backend.prepare`
 before; this module imports the ray tracer when its functions run.
 
 Specular paths are looked for in a scene that is stretched upwards until it is as high as it is wide.
@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from raytrace.plan.floorplan import FloorPlan, Slab, Wall
 from raytrace.propagation.backend import prepare
-from raytrace.propagation.images import surfaces_of
 from raytrace.propagation.paths import NO_SURFACE
+from raytrace.propagation.reflectors import surfaces_of
 
 __all__ = ["RadioScene", "build_scene"]
 

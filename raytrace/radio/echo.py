@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raytrace.plan.floorplan import FloorPlan
-from raytrace.propagation.passive import TraceReport, trace_specular
+from raytrace.propagation.engine import Scene, scene_of, specular_paths, traced
+from raytrace.propagation.passive import TraceReport
 from raytrace.propagation.paths import PathList
-from raytrace.propagation.scene import RadioScene, build_scene
 from raytrace.propagation.solver import solve
 from raytrace.radio.channel import superpose
 from raytrace.radio.radar_equation import radar_sweep
@@ -65,7 +65,7 @@ class EchoSweep:
 
 
 def sweep_echo(
-    plan: FloorPlan, radio: RadioScene | None = None, epochs: tuple[int, ...] | None = None
+    plan: FloorPlan, radio: Scene | None = None, epochs: tuple[int, ...] | None = None
 ) -> EchoSweep:
     """Sweep the agent's beams at some epochs.
 
@@ -73,7 +73,7 @@ def sweep_echo(
     ----------
     plan : FloorPlan
         The plan; ``plan.echo`` is the link.
-    radio : RadioScene, optional
+    radio : RadioScene or ImageScene, optional
         Its scene at the carrier of ``plan.echo``; by default it is built.
     epochs : tuple of int, optional
         When to sweep, at least once; by default as ``plan.sweep_epochs`` says.
@@ -83,7 +83,7 @@ def sweep_echo(
     BackendError
         If the ray tracer cannot run on this machine.
     """
-    radio = build_scene(plan, plan.echo.carrier_hz) if radio is None else radio
+    radio = scene_of(plan, plan.echo.carrier_hz) if radio is None else radio
     epochs = plan.sweep_epochs if epochs is None else epochs
     places = plan.track()[list(epochs)]
     if plan.echo.model == "radar-equation":
@@ -98,19 +98,19 @@ def sweep_echo(
 
 
 def _physical(
-    plan: FloorPlan, radio: RadioScene, epochs: tuple[int, ...], places: NDArray[np.float64]
+    plan: FloorPlan, radio: Scene, epochs: tuple[int, ...], places: NDArray[np.float64]
 ) -> EchoSweep:
     responses, reports, specular, diffuse = [], [], 0, 0
     for place, heading in zip(places, plan.headings_rad()[list(epochs)], strict=True):
         sender, receiver = _ends(plan, place)
-        paths, report = trace_specular(plan, radio, sender[None], receiver[None], plan.echo.depth)
+        paths, report = specular_paths(plan, radio, sender[None], receiver[None], plan.echo.depth)
         returns = paths.flat()
         returns = returns.select(returns.order > 0)
         reports.append(report)
         specular += len(returns)
         if plan.scatters:
             scattered = solve(
-                radio,
+                traced(radio),
                 sender,
                 receiver[None],
                 depth=1,

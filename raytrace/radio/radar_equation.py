@@ -21,14 +21,15 @@ from numpy.typing import NDArray
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
-from raytrace.propagation.scene import RadioScene
+from raytrace.propagation.engine import ImageScene, Scene
+from raytrace.propagation.reflectors import first_hits, surfaces_of
 from raytrace.radio.channel import superpose
 
 __all__ = ["horizontal_hits", "radar_sweep"]
 
 
 def radar_sweep(
-    plan: FloorPlan, radio: RadioScene, place_m: NDArray[np.float64], heading_rad: float
+    plan: FloorPlan, radio: Scene, place_m: NDArray[np.float64], heading_rad: float
 ) -> NDArray[np.complex128]:
     """Noiseless sweep by the radar equation.
 
@@ -37,7 +38,7 @@ def radar_sweep(
     plan : FloorPlan
         ``plan.echo`` gives the beams, the tones, ``gamma``, ``eta`` and ``fan_rays``
         (rays of a whole turn; 0 for pencil beams).
-    radio : RadioScene
+    radio : RadioScene or ImageScene
         The scene.
     place_m : ndarray, shape (3,)
         Where the agent stands, metres.
@@ -70,13 +71,13 @@ def radar_sweep(
 
 
 def horizontal_hits(
-    radio: RadioScene, place_m: NDArray[np.float64], azimuth_rad: NDArray[np.float64]
+    radio: Scene, place_m: NDArray[np.float64], azimuth_rad: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Where horizontal rays first meet the scene.
 
     Parameters
     ----------
-    radio : RadioScene
+    radio : RadioScene or ImageScene
         The scene.
     place_m : ndarray, shape (3,)
         Where the rays start, metres.
@@ -90,9 +91,11 @@ def horizontal_hits(
     cosine : ndarray, shape (n,)
         Cosine of the angle between ray and surface normal (0 where it meets nothing).
     """
+    towards = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad), np.zeros_like(azimuth_rad)])
+    if isinstance(radio, ImageScene):
+        return first_hits(surfaces_of(radio.plan), np.asarray(place_m, dtype=np.float64), towards.T)
     import mitsuba as mi
 
-    towards = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad), np.zeros_like(azimuth_rad)])
     origin = np.broadcast_to(radio.placed(np.asarray(place_m))[:, None], towards.shape)
     rays = mi.Ray3f(
         mi.Point3f(*(mi.Float(row.astype(np.float32)) for row in origin)),

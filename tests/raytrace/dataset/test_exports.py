@@ -20,7 +20,8 @@ from raytrace.dataset.export_mat import export_mat
 from raytrace.dataset.shards import stored_paths
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.bounces import bounce_points
-from raytrace.propagation.images import image_paths, surfaces_of
+from raytrace.propagation.images import image_paths
+from raytrace.propagation.reflectors import surfaces_of
 
 Digests = Callable[[Path], dict[str, str]]
 

@@ -230,7 +230,7 @@ def test_a_failure_leaves_no_dataset(
 ) -> None:
     """If tracing fails nothing has been written; if writing fails the dataset is marked incomplete."""
     monkeypatch.setattr(
-        "raytrace.dataset.shard_task.trace_specular", lambda *_, **__: (_ for _ in ()).throw(MemoryError())
+        "raytrace.dataset.shard_task.specular_paths", lambda *_, **__: (_ for _ in ()).throw(MemoryError())
     )
     with pytest.raises(MemoryError):
         generate(plan, tmp_path / "early", seed=1)

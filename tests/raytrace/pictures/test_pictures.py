@@ -15,7 +15,8 @@ from raytrace.dataset.generate import generate
 from raytrace.pictures.datasets import delay_profile, draw_delay_profile, draw_range_angle, range_angle
 from raytrace.pictures.plans import draw_coverage, draw_paths, draw_plan, path_vertices, received_power
 from raytrace.plan.files import load_floorplan, updated
-from raytrace.propagation.images import image_paths, surfaces_of
+from raytrace.propagation.images import image_paths
+from raytrace.propagation.reflectors import surfaces_of
 
 
 @pytest.fixture(scope="module")

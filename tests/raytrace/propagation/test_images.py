@@ -14,8 +14,9 @@ from estimator.waveform import SPEED_OF_LIGHT_M_S, free_space_loss_db
 from raytrace.plan.files import load_floorplan, parse_floorplan, updated
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.materials import permittivity, slab_reflection
-from raytrace.propagation.images import image_paths, surfaces_of
+from raytrace.propagation.images import image_paths
 from raytrace.propagation.paths import NO_SURFACE, PathList
+from raytrace.propagation.reflectors import surfaces_of
 
 SIZE = np.array([8.0, 6.0, 3.0])
 

@@ -13,9 +13,9 @@ from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.bounces import bounce_points
 from raytrace.propagation.directions import directions_of, spherical_basis
 from raytrace.propagation.fields import specular_transfer
-from raytrace.propagation.images import surfaces_of
 from raytrace.propagation.passive import trace_passive
 from raytrace.propagation.paths import PathList
+from raytrace.propagation.reflectors import surfaces_of
 from raytrace.propagation.scene import build_scene
 from raytrace.propagation.solver import solve
 from raytrace.radio.antennas import Element, Pattern, Polarization, mounted

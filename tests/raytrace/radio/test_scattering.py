@@ -10,9 +10,9 @@ from raytrace.plan.files import parse_floorplan, updated
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.materials import permittivity, slab_reflection
 from raytrace.propagation.directions import directions_of
-from raytrace.propagation.images import surfaces_of
 from raytrace.propagation.passive import TraceReport
 from raytrace.propagation.paths import PathSet
+from raytrace.propagation.reflectors import surfaces_of
 from raytrace.propagation.scene import RadioScene, build_scene
 from raytrace.propagation.solver import solve
 from raytrace.radio.channel import channel_response
