@@ -15,7 +15,7 @@ import numpy as np
 
 from estimator.errors import BackendError, FileFormatError, InputError
 
-__all__ = ["Drawing", "ImportReport", "Line", "require_finite", "require_package", "require_size"]
+__all__ = ["Drawing", "ImportReport", "Line", "Point", "require_finite", "require_package", "require_size"]
 
 Point = tuple[float, float]
 
@@ -71,12 +71,15 @@ class ImportReport:
         How many of what were taken, left out (with the reason), and made one.
     notes : list of str
         What else a reader should know: units, shifts, what was placed.
+    warnings : list of str
+        What may be wrong.
     """
 
     kept: Counter[str] = field(default_factory=Counter)
     dropped: Counter[str] = field(default_factory=Counter)
     collapsed: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
         """All of it for JSON."""
@@ -85,6 +88,7 @@ class ImportReport:
             "dropped": dict(sorted(self.dropped.items())),
             "collapsed": dict(sorted(self.collapsed.items())),
             "notes": list(self.notes),
+            "warnings": list(self.warnings),
         }
 
     def lines(self) -> list[str]:
@@ -93,7 +97,14 @@ class ImportReport:
         counted = [
             f"{verb:<10}{count:>6}  {what}" for verb, c in counters for what, count in sorted(c.items())
         ]
-        return counted + [f"{'note':<10}{'':>6}  {note}" for note in self.notes]
+        said = [("note", note) for note in self.notes] + [("warning", text) for text in self.warnings]
+        return counted + [f"{kind:<10}{'':>6}  {text}" for kind, text in said]
+
+    def left_out(self, most: int = 6) -> str:
+        """What was dropped, the most frequent first, in one line of bearable length."""
+        named = [f"{count} {what}" for what, count in self.dropped.most_common(most)]
+        more = len(self.dropped) - len(named)
+        return ", ".join([*named, *([f"and {more} more kinds"] if more > 0 else [])])
 
 
 @dataclass
@@ -108,8 +119,13 @@ class Drawing:
         Name and place (x, y, z) of the anchors that the file marks; z may be NaN.
     track_m : list of tuple
         Way-points of the agent, if the file draws them.
+    space_m : list of list of tuple
+        Outlines of where the agent may walk, if the file draws them.
     floor, ceiling : str or None
         Material of a floor or ceiling that the file has.
+    georeference : tuple or None
+        Name of the coordinate reference system that the file states, and the place in it that is
+        the drawing's (0, 0).
     report : ImportReport
         What was kept and dropped.
     """
@@ -117,6 +133,8 @@ class Drawing:
     lines: list[Line] = field(default_factory=list)
     anchors_m: list[tuple[str, tuple[float, float, float]]] = field(default_factory=list)
     track_m: list[Point] = field(default_factory=list)
+    space_m: list[list[Point]] = field(default_factory=list)
+    georeference: tuple[str, Point] | None = None
     floor: str | None = None
     ceiling: str | None = None
     report: ImportReport = field(default_factory=ImportReport)

@@ -126,8 +126,10 @@ def cut(solids: list[Solid], options: ImportOptions) -> Drawing:
     """
     drawing = Drawing()
     unit = options.unit or "m"
-    drawing.report.notes.append(f"unit {unit}, {options.up} upwards, cut {options.cut_m:g} m above the floor")
-    placed = [(solid, _upright(solid.vertices, options.up) * UNITS_M[unit]) for solid in solids]
+    drawing.report.notes.append(
+        f"unit {unit}, {options.up or 'z'} upwards, cut {options.cut_m:g} m above the floor"
+    )
+    placed = [(solid, _upright(solid.vertices, options.up or "z") * UNITS_M[unit]) for solid in solids]
     if not placed:
         raise FileFormatError("expected objects with faces, got none")
     everything = np.concatenate([vertices for _, vertices in placed])

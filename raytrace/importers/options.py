@@ -10,8 +10,9 @@ from typing import Literal
 
 from estimator.errors import ConfigurationError
 from raytrace.plan.materials import ITU_MATERIALS
+from raytrace.plan.space import KINDS, SpaceKind
 
-__all__ = ["IGNORE", "UNITS_M", "ImportOptions"]
+__all__ = ["IGNORE", "UNITS_M", "ImportOptions", "words_of"]
 
 IGNORE = "ignore"
 
@@ -65,8 +66,18 @@ class ImportOptions:
         Two parallel lines nearer than this are the two faces of one wall, metres.
     cut_m : float
         Height above the lowest point at which solid models are cut, metres.
-    up : {"z", "y"}
-        Which axis of a solid model points upwards.
+    up : {"z", "y"} or None
+        Which axis of a solid model points upwards; ``None`` takes the format's: y of glTF, else z.
+    level : str or None
+        Level (storey) to take of a file that has several.
+    hatches : bool
+        Take the outlines of hatches on layers of walls as walls.
+    walk_m : tuple of tuple
+        Way-points of the agent in the coordinates of the plan, metres; none places them.
+    anchors_m : tuple of tuple
+        Anchors (x, y, z), metres; those of the file and of chance are then not asked.
+    space : {"inside", "outside"} or None
+        Where the agent is to walk; ``None`` takes the plan's main space.
 
     Raises
     ------
@@ -81,7 +92,12 @@ class ImportOptions:
     thickness_m: float = 0.2
     thickest_m: float = 0.5
     cut_m: float = 1.2
-    up: Literal["z", "y"] = "z"
+    up: Literal["z", "y"] | None = None
+    level: str | None = None
+    hatches: bool = False
+    walk_m: tuple[tuple[float, float], ...] = ()
+    anchors_m: tuple[tuple[float, float, float], ...] = ()
+    space: SpaceKind | None = None
 
     def __post_init__(self) -> None:
         for name in ("height_m", "thickness_m", "thickest_m", "cut_m"):
@@ -90,7 +106,11 @@ class ImportOptions:
                 raise ConfigurationError(f"{name}: expected metres above 0 and below 1000, got {value!r}")
         if self.unit is not None and self.unit not in UNITS_M:
             raise ConfigurationError(f"unit: expected one of {', '.join(UNITS_M)}, got {self.unit!r}")
-        if self.up not in ("z", "y"):
+        if self.space not in (None, *KINDS):
+            raise ConfigurationError(f"space: expected {' or '.join(KINDS)}, got {self.space!r}")
+        if len(self.walk_m) == 1:
+            raise ConfigurationError("walk: expected at least two way-points, got one")
+        if self.up not in ("z", "y", None):
             raise ConfigurationError(f"up: expected 'z' or 'y', got {self.up!r}")
         known = {*ITU_MATERIALS, IGNORE}
         for pattern, material in [*self.materials.items(), ("material", self.material or IGNORE)]:
@@ -105,7 +125,7 @@ class ImportOptions:
         for pattern, material in self.materials.items():
             if fnmatchcase(lower, pattern.lower()):
                 return material
-        words = _words(name)
+        words = words_of(name)
         if words & _NOTHING:
             return IGNORE
         spelled = f"_{'_'.join(re.findall('[a-z]+', lower))}_"
@@ -115,7 +135,7 @@ class ImportOptions:
         return next((material for material, known in _WORDS.items() if words & known), self.material)
 
 
-def _words(name: str) -> frozenset[str]:
+def words_of(name: str) -> frozenset[str]:
     """Words of a name, in small letters and singular: ``A-WALLS`` and ``innerWall`` both have a wall."""
     words = [word.lower() for word in re.findall(r"[A-ZÄÖÜ]?[a-zäöüß]+|[A-ZÄÖÜ]+", name)]
     return frozenset([*words, *(word.removesuffix("s") for word in words)])

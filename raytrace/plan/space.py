@@ -30,6 +30,8 @@ KINDS: tuple[SpaceKind, ...] = ("inside", "outside")
 
 # Corners that meet within a millimetre are closed: drawings are made in millimetres.
 _SNAP_M = 1e-3
+# Areas are computed on a grid, on which no intersection is missed for lack of digits.
+_GRID_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,9 @@ class SpaceConfig:
         Buildings below this share of the largest one's area are sheds, and make no street.
     street : float
         Smallest share of the plan (its convex hull) that lies between buildings to be a street.
+    partitions : float
+        Buildings whose inner walls are longer than this share of their outlines are drawn with their
+        rooms: storeys on one sheet, or a campus, where one walks inside.
     surroundings_m : float
         How far beyond the walls of an open scene an agent walks, metres.
     """
@@ -57,6 +62,7 @@ class SpaceConfig:
     margin_m: float = 0.15
     sliver: float = 0.2
     street: float = 0.1
+    partitions: float = 0.5
     surroundings_m: float = 5.0
 
     def __post_init__(self) -> None:
@@ -89,8 +95,9 @@ class Space:
 
 def enclosed(start_m: Array, end_m: Array) -> shapely.Geometry:
     """The area that walls (n, 2), (n, 2) enclose without a gap; those up to a millimetre are closed."""
-    network = shapely.union_all(shapely.set_precision(_lines(start_m, end_m), _SNAP_M))
-    return shapely.union_all(shapely.get_parts(shapely.polygonize([*shapely.get_parts(network)])))
+    network = shapely.union_all(_lines(start_m, end_m), grid_size=_SNAP_M)
+    rooms = shapely.get_parts(shapely.polygonize([*shapely.get_parts(network)]))
+    return _areas(shapely.union_all(rooms, grid_size=_GRID_M))
 
 
 def confined(start_m: Array, end_m: Array, config: SpaceConfig | None = None) -> shapely.Geometry:
@@ -98,12 +105,17 @@ def confined(start_m: Array, end_m: Array, config: SpaceConfig | None = None) ->
     config = SpaceConfig() if config is None else config
     exact = enclosed(start_m, end_m)
     reach = 0.5 * config.door_m
-    thick = shapely.union_all(shapely.buffer(_lines(start_m, end_m), reach, quad_segs=16))
+    thick = shapely.union_all(shapely.buffer(_lines(start_m, end_m), reach, quad_segs=8))
     outlines = shapely.polygons(shapely.get_exterior_ring(shapely.get_parts(thick)))
-    closed = shapely.buffer(shapely.union_all(outlines), -reach * (1.0 + 1e-6), join_style="mitre")
+    filled = shapely.union_all(outlines, grid_size=_GRID_M)
+    closed = _areas(shapely.buffer(filled, -reach * (1.0 + 1e-6), join_style="mitre"))
     gained = shapely.area(closed) - shapely.area(exact)
     # Where nothing was bridged, the polygons of the walls themselves are exact.
-    return exact if gained <= 1e-3 * shapely.area(exact) else shapely.union(exact, closed)
+    return (
+        exact
+        if gained <= 1e-3 * shapely.area(exact)
+        else _areas(shapely.union(exact, closed, grid_size=_GRID_M))
+    )
 
 
 def spaces(
@@ -121,14 +133,20 @@ def spaces(
         What counts as a door, a person and a street.
     """
     config = SpaceConfig() if config is None else config
-    inside = confined(start_m, end_m, config)
+    return _spaces(start_m, end_m, thickness_m, confined(start_m, end_m, config), config)
+
+
+def _spaces(
+    start_m: Array, end_m: Array, thickness_m: Array, inside: shapely.Geometry, config: SpaceConfig
+) -> list[Space]:
     kept_off = _kept_off(start_m, end_m, thickness_m, config)
     outside = _outside(start_m, end_m, inside, kept_off, config)
     found = []
     regions: tuple[tuple[SpaceKind, shapely.Geometry], ...] = (("inside", inside), ("outside", outside))
     for kind, region in regions:
-        for part in _polygons(shapely.difference(region, kept_off)):
-            whole = shapely.intersection(shapely.buffer(part, config.clearance_m), region)
+        for part in _polygons(shapely.difference(region, kept_off, grid_size=_GRID_M)):
+            grown = shapely.buffer(part, config.clearance_m, quad_segs=4)
+            whole = shapely.intersection(grown, region, grid_size=_GRID_M)
             share = shapely.area(whole) / shapely.area(region)
             found.append(Space(kind, part, float(shapely.area(whole)), float(share)))
     return sorted(found, key=lambda space: -space.area_m2)
@@ -154,16 +172,20 @@ def main_space(
         If no part is wide enough to walk in.
     """
     config = SpaceConfig() if config is None else config
-    found = spaces(start_m, end_m, thickness_m, config)
+    confines = confined(start_m, end_m, config)
+    found = _spaces(start_m, end_m, thickness_m, confines, config)
     largest = {name: next((space for space in found if space.kind == name), None) for name in KINDS}
     inside, outside = largest["inside"], largest["outside"]
     if kind is None:
-        buildings = _buildings(confined(start_m, end_m, config), config)
+        buildings = _buildings(confines, config)
         hull = shapely.area(_hull(start_m, end_m))
-        street = len(buildings) > 1 and outside is not None and outside.area_m2 >= config.street * hull
-        # Between the walls of an open scene, or of one that is next to nothing inside, one walks outside.
-        narrow = inside is None or (inside.share < 0.01 and outside is not None)
-        chosen = outside if street or not buildings or narrow else inside
+        street = (
+            len(buildings) > 1
+            and outside is not None
+            and outside.area_m2 >= config.street * hull
+            and not (inside is not None and _have_rooms(buildings, start_m, end_m, config))
+        )
+        chosen = outside if street or not buildings else inside
     else:
         chosen = largest[kind]
     if chosen is None:
@@ -180,10 +202,15 @@ def _outside(
 ) -> shapely.Geometry:
     """What lies between the walls (in their convex hull) but not inside; where that is narrow, around."""
     hull = _hull(start_m, end_m)
-    between = shapely.difference(hull, inside)
-    if shapely.area(shapely.difference(between, kept_off)) >= config.street * shapely.area(hull) > 0.0:
+    between = _areas(shapely.difference(hull, inside, grid_size=_GRID_M))
+    if (
+        shapely.area(shapely.difference(between, kept_off, grid_size=_GRID_M))
+        >= config.street * shapely.area(hull)
+        > 0.0
+    ):
         return between
-    return shapely.difference(shapely.buffer(hull, config.surroundings_m), inside)
+    around = shapely.buffer(hull, config.surroundings_m)
+    return _areas(shapely.difference(around, inside, grid_size=_GRID_M))
 
 
 def _hull(start_m: Array, end_m: Array) -> shapely.Geometry:
@@ -201,6 +228,17 @@ def _buildings(inside: shapely.Geometry, config: SpaceConfig) -> list[shapely.Ge
     return [part for part in parts if shapely.area(part) >= config.sliver * largest]
 
 
+def _have_rooms(buildings: list[shapely.Geometry], start_m: Array, end_m: Array, config: SpaceConfig) -> bool:
+    """Whether buildings are drawn with their inner walls, not as mere outlines."""
+    core = shapely.union_all(shapely.buffer(buildings, -0.5 * config.door_m), grid_size=_GRID_M)
+    shapely.prepare(core)
+    middles = 0.5 * (start_m + end_m)
+    within = shapely.contains_xy(core, middles[:, 0], middles[:, 1])
+    inner = float(np.linalg.norm(end_m - start_m, axis=1)[within].sum())
+    outline = float(np.sum(shapely.length(shapely.get_exterior_ring(buildings))))
+    return inner > config.partitions * outline
+
+
 def _kept_off(start_m: Array, end_m: Array, thickness_m: Array, config: SpaceConfig) -> shapely.Geometry:
     """What lies too near to a wall: the clearance, at the faces of thick walls more."""
     lines = _lines(start_m, end_m)
@@ -210,8 +248,15 @@ def _kept_off(start_m: Array, end_m: Array, thickness_m: Array, config: SpaceCon
         [
             *shapely.buffer(lines, config.clearance_m, quad_segs=4),
             *shapely.buffer(lines[thick], beside[thick], cap_style="flat"),
-        ]
+        ],
+        grid_size=_GRID_M,
     )
+
+
+def _areas(geometry: shapely.Geometry) -> shapely.Geometry:
+    """A geometry without the points and lines that an overlay leaves where areas touch."""
+    parts = _polygons(geometry)
+    return parts[0] if len(parts) == 1 else shapely.MultiPolygon(parts)
 
 
 def _polygons(geometry: shapely.Geometry) -> list[shapely.Geometry]:
