@@ -200,7 +200,7 @@ def test_snapshots_add_up() -> None:
     assert_one(error[close] ** 2 / bound, 0.35)  # near the threshold, second-order terms
 
 
-@pytest.mark.parametrize("runs", [250, pytest.param(600, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("runs", [120, pytest.param(600, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("snapshots", [1, 4])
 @pytest.mark.parametrize("name", ["ula", "lying"])
 def test_noise_alone_gives_paths_at_the_stated_rate(name: str, snapshots: int, runs: int) -> None:

@@ -79,7 +79,8 @@ def verdict_at(flashes: list[Flash], range_m: float, tolerance_m: float = 0.3) -
 ROOM = [flash(10.0, 180.0), flash(15.0, -90.0), flash(25.0, 90.0), flash(70.0, 0.0)]
 
 
-def test_four_walls_with_imperfect_beams() -> None:
+@pytest.mark.parametrize("sweeps", [4, pytest.param(16, marks=pytest.mark.soak)])
+def test_four_walls_with_imperfect_beams(sweeps: int) -> None:
     """Walls at 10, 15, 25 and 70 m, beams off by 0.5 dB and 5 degrees: all found, accurate, none false.
 
     The errors stay within .15, .2, .25 and .4 m, and within what the covariance claims: it leaves
@@ -90,7 +91,7 @@ def test_four_walls_with_imperfect_beams() -> None:
         [2.0 * f.range_m * np.array([np.cos(f.arrival_rad), np.sin(f.arrival_rad)]) for f in ROOM]
     )
     errors, nees = [], []
-    for seed in range(8):
+    for seed in range(sweeps):
         rng = np.random.default_rng([SEED, seed])
         bounces = ROOM + [b for i in range(4) for j in range(i) for b in double_bounces(ROOM[i], ROOM[j])]
         walls = flash_walls(find_flashes(sweep(rng, bounces, 0.5, 5.0), NOISE, GRID, BEAMS))
@@ -105,10 +106,11 @@ def test_four_walls_with_imperfect_beams() -> None:
     assert 0.01 < np.mean(nees) < 1.0
 
 
-def test_common_range_error_is_covered() -> None:
+@pytest.mark.parametrize("sweeps", [8, pytest.param(24, marks=pytest.mark.soak)])
+def test_common_range_error_is_covered(sweeps: int) -> None:
     """With a front end off by 3 cm as well, NEES / 2 over walls and draws is that of an honest claim."""
     nees = []
-    for seed in range(24):
+    for seed in range(sweeps):
         rng = np.random.default_rng([SEED, 100 + seed])
         shift = 0.03 * rng.normal()
         moved = [flash(f.range_m + shift, np.rad2deg(f.arrival_rad)) for f in ROOM]
@@ -119,7 +121,7 @@ def test_common_range_error_is_covered() -> None:
                 [np.cos(true.arrival_rad), np.sin(true.arrival_rad)]
             )
             nees.append(error @ np.linalg.solve(wall.covariance_m2, error) / 2.0)
-    assert len(nees) == 4 * 24
+    assert len(nees) == 4 * sweeps
     assert 0.2 < np.mean(nees) < 3.0
 
 

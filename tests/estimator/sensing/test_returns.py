@@ -35,12 +35,13 @@ def noise(rng: np.random.Generator, variance: float) -> np.ndarray:
     return np.sqrt(0.5 * variance) * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
 
 
-def test_errors_meet_the_bound() -> None:
+@pytest.mark.parametrize("trials", [50, pytest.param(300, marks=pytest.mark.soak)])
+def test_errors_meet_the_bound(trials: int) -> None:
     """Range and azimuth of two returns: normalised errors have the size that the covariance claims."""
     rng = np.random.default_rng([SEED, 1])
     pursuit = EchoPursuit(GRID, BEAMS, ANY_GAIN)
     squares = []
-    for _ in range(150):
+    for _ in range(trials):
         ranges = [rng.uniform(8.0, 12.0), rng.uniform(30.0, 50.0)]
         azimuths = rng.uniform(-np.pi, np.pi, 2)
         gains = [0.4 * mirror_gain(r) * np.exp(2j * np.pi * rng.uniform()) for r in ranges]
@@ -70,10 +71,11 @@ def test_gain_and_order() -> None:
     np.testing.assert_allclose(found.power_db, 20.0 * np.log10(power), atol=0.3)
 
 
-def test_noise_alone_gives_returns_at_the_stated_rate() -> None:
+@pytest.mark.parametrize("trials", [150, pytest.param(600, marks=pytest.mark.soak)])
+def test_noise_alone_gives_returns_at_the_stated_rate(trials: int) -> None:
     """Sweeps without returns: false alarms over all ranges and azimuths come at the stated rate."""
     rng = np.random.default_rng([SEED, 3])
-    trials, stated = 400, 0.2
+    stated = 0.2
     config = PursuitConfig(
         false_alarm=stated, min_reflectivity_db=-300.0, blind_range_m=0.0, max_returns=1, oversampling=6
     )

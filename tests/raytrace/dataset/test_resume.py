@@ -208,7 +208,7 @@ def _kills(plan: FloorPlan, folder: Path, kills: int, seed: int, jobs: list[int]
 @pytest.mark.usefixtures("traced")
 def test_killed_by_the_system(short_plan: FloorPlan, tmp_path: Path, digests: Digests) -> None:
     """SIGKILL at a random moment, then on to the same bytes."""
-    plan = updated(short_plan, {"agent.epochs": 24, "echo.sweep_epochs": [0, 12]})
+    plan = updated(short_plan, {"agent.epochs": 12, "echo.sweep_epochs": [0]})
     _kills(plan, tmp_path, 1, 5, [1], digests)
 
 
