@@ -5,25 +5,24 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib import metadata
+from typing import Any
 
-import anyio
 from fastapi import FastAPI
-from starlette.middleware.body_limit import RequestBodyLimitMiddleware
+from fastapi.openapi.utils import get_openapi
+from pydantic.json_schema import models_json_schema
 
 from service import problems
-from service.auth import KeyRing
+from service.admission import Admission
 from service.context import Context
 from service.database import opened
+from service.epoch_schemas import EpochsRequest
 from service.middleware import RequestMiddleware
 from service.routes import echoes, events, health, measurements, pages, sessions, state, uploads
+from service.schemas import Truth
 from service.settings import Settings
-from service.store import Store
 from service.telemetry import Metrics
-from service.workers import StepPool
 
 __all__ = ["create_app"]
-
-_THREADS = 48
 
 _DESCRIPTION = """\
 Measurements in, SLAM state out. Make a session, post the walls sensed at the start to its
@@ -49,11 +48,13 @@ def create_app(settings: Settings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        here.threads = anyio.CapacityLimiter(_THREADS)
-        pool = StepPool(settings.workers, settings.max_waiting, settings.request_timeout_s)
-        with opened(settings.url, settings.lock_timeout_s) as engine, pool as here.pool:
-            here.store, here.keys = Store(engine), KeyRing(engine)
-            yield
+        with opened(settings.url, settings.lock_timeout_s) as engine:
+            here.open(engine)
+            here.workers.start()
+            try:
+                yield
+            finally:
+                here.workers.stop()
 
     app = FastAPI(
         title="hapslam",
@@ -66,16 +67,34 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.context = here
     problems.install(app)
-    app.add_middleware(RequestBodyLimitMiddleware, max_body_size=settings.max_body_bytes)
-    app.add_middleware(
-        RequestMiddleware,
-        metrics=here.metrics,
-        timeout_s=settings.request_timeout_s,
-        max_body_bytes=settings.max_body_bytes,
-    )
+    app.add_middleware(Admission, here=here)
+    app.add_middleware(RequestMiddleware, metrics=here.metrics, timeout_s=settings.request_timeout_s)
     for module in (health, sessions, echoes, measurements, uploads, state, events, pages):
         app.include_router(module.router)
+    app.openapi = _Description(app)  # type: ignore[method-assign]
     return app
+
+
+class _Description:
+    """The interface's description, with the bodies that routes parse themselves."""
+
+    def __init__(self, app: FastAPI) -> None:
+        self._app, self._document = app, dict[str, Any]()
+
+    def __call__(self) -> dict[str, Any]:
+        """The OpenAPI document, made once."""
+        if not self._document:
+            document = get_openapi(
+                title=self._app.title,
+                version=self._app.version,
+                description=self._app.description,
+                routes=self._app.routes,
+            )
+            models = [(model, "validation") for model in (EpochsRequest, Truth)]
+            _, found = models_json_schema(models, ref_template="#/components/schemas/{model}")  # type: ignore[arg-type]
+            document["components"]["schemas"] |= found["$defs"]
+            self._document = document
+        return self._document
 
 
 def _version() -> str:

@@ -16,8 +16,8 @@ from estimator.errors import FileFormatError, InputError
 from estimator.measurements import GaussianVrp
 from estimator.threads import one_blas_thread
 from service.errors import ConflictError
-from service.fold import StateCache
 from service.uploads import columns, evenly_spaced, read_arrays
+from service.worker import TaskContext
 
 __all__ = ["EchoModel", "EchoTask", "PointsTask"]
 
@@ -41,9 +41,9 @@ class PointsTask:
     azimuth_rad: tuple[float, ...]
 
     @one_blas_thread()
-    def run(self, cache: StateCache) -> tuple[GaussianVrp, ...]:
+    def run(self, context: TaskContext) -> tuple[GaussianVrp, ...]:
         """Find them, the nearest first; raises InputError if the points are too few."""
-        del cache
+        del context
         from estimator.sensing.segmentation import segment_walls
 
         return segment_walls(self.range_m, self.range_std_m, self.azimuth_rad).walls
@@ -79,7 +79,7 @@ class EchoTask:
     max_unpacked_bytes: int
 
     @one_blas_thread()
-    def run(self, cache: StateCache) -> tuple[GaussianVrp, ...]:
+    def run(self, context: TaskContext) -> tuple[GaussianVrp, ...]:
         """Read the file and look for walls.
 
         Raises
@@ -91,7 +91,7 @@ class EchoTask:
         ConflictError
             If the sweep is not of epoch 0, where the agent stands at the reference point.
         """
-        del cache
+        del context
         from estimator.sensing.beam_ranges import walls_of_beams
         from estimator.sensing.flash import find_flashes, flash_walls
 

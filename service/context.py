@@ -8,20 +8,28 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, ParamSpec, TypeVar
+from typing import Annotated, Any, ParamSpec, TypeVar
 
+import anyio
 import anyio.to_thread
 from fastapi import Depends, Request
+from sqlalchemy import Engine
 
 from service.auth import Caller, KeyRing
+from service.pictures import PictureCache
+from service.readiness import Readiness
 from service.settings import Settings
 from service.store import Store
 from service.telemetry import Metrics
-from service.workers import StepPool
+from service.worker import Task, TaskContext
+from service.workers import Lane, Workers
 
 __all__ = ["Bell", "CallerDep", "Context", "ContextDep", "SessionAccess", "SessionDep", "caller", "context"]
 
 _REMEMBERED = 1000  # sessions whose anchors are kept in mind
+_THREADS = 32  # that wait for the database
+_DOORS = 8  # that look up keys: whoever else waits, a request is let in or refused
+_AT_ONCE_BYTES = 16 * 2**10  # of JSON: about a millisecond
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -75,10 +83,14 @@ class Context:
         The operator's choices.
     metrics : Metrics
         Counters.
-    store, keys, pool
-        Database, API keys, workers; there once the application has started.
+    store, keys, workers
+        Database, API keys, worker processes; there once the application has started.
     bell : Bell
         Wakes event streams.
+    pictures : PictureCache
+        Maps that were drawn.
+    readiness : Readiness
+        Whether the database answers.
     draining : bool
         Whether the server is about to stop: streams end, ``/readyz`` says no.
     """
@@ -87,30 +99,83 @@ class Context:
     metrics: Metrics
     store: Store = field(init=False)
     keys: KeyRing = field(init=False)
-    pool: StepPool = field(init=False)
-    threads: anyio.CapacityLimiter = field(init=False)
+    workers: Workers = field(init=False)
     bell: Bell = field(default_factory=Bell)
+    pictures: PictureCache = field(default_factory=PictureCache)
+    readiness: Readiness = field(default_factory=Readiness)
     draining: bool = False
+    _loop: asyncio.AbstractEventLoop | None = None
+    _threads: anyio.CapacityLimiter = field(init=False)
+    _doors: anyio.CapacityLimiter = field(init=False)
     _anchors: dict[SessionAccess, list[str]] = field(default_factory=dict)
+    _walls: dict[str, int] = field(default_factory=dict)
 
-    def anchors(self, session: SessionAccess) -> list[str]:
+    def open(self, engine: Engine) -> None:
+        """Begin with a database."""
+        self.store, self.keys = Store(engine), KeyRing(engine)
+        self.workers = Workers(self.settings, self.store)
+        self._loop = asyncio.get_running_loop()
+        self._threads, self._doors = anyio.CapacityLimiter(_THREADS), anyio.CapacityLimiter(_DOORS)
+
+    async def anchors(self, session: SessionAccess) -> list[str]:
         """A session's anchors, which never change; raises NotFoundError."""
         known = self._anchors.get(session)
         if known is None:
-            row = self.store.session(session.id, session.key_id)
+            row = await self.run(self.store.session, session.id, session.key_id)
             known = self._anchors[session] = json.loads(row.config)["anchors"]
-            if len(self._anchors) > _REMEMBERED:
-                self._anchors.pop(next(iter(self._anchors)), None)
+            _forget(self._anchors)
         return known
 
+    async def walls(self, session: SessionAccess) -> int:
+        """How many walls a session had when last looked at."""
+        known = self._walls.get(session.id)
+        if known is None:
+            known = await self.run(self.store.walls, session.id)
+            self.note_walls(session, known)
+        return known
+
+    def note_walls(self, session: SessionAccess, walls: int | None) -> None:
+        """Remember how many walls a session has; None forgets it."""
+        self._walls.pop(session.id, None)
+        if walls is not None:
+            self._walls[session.id] = walls
+            _forget(self._walls)
+
     async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Run a blocking function in a thread."""
-        return await anyio.to_thread.run_sync(partial(function, *args, **kwargs), limiter=self.threads)
+        """Run a function that waits for the database, and for nothing longer, in a thread."""
+        return await anyio.to_thread.run_sync(partial(function, *args, **kwargs), limiter=self._threads)
+
+    async def work(self, lane: Lane, session: SessionAccess, task: Task[T]) -> T:
+        """Have a task done by a worker; see :meth:`service.workers.Workers.run`."""
+        return await self.workers.run(lane, session.key_id, session.id, task)
+
+    async def parsed(self, session: SessionAccess, body: bytes, task: Task[T]) -> T:
+        """Have a body parsed: here if that is done at once, by a worker if not."""
+        if len(body) <= _AT_ONCE_BYTES:
+            return task.run(TaskContext())
+        return await self.work(Lane.BULK, session, task)
+
+    async def admit(self, authorization: str | None, client: str | None, host: str | None) -> Caller:
+        """Who the caller is; see :meth:`service.auth.KeyRing.admit`."""
+        if self.keys.none_known():
+            return self.keys.admit(authorization, client, host)
+        admit = partial(self.keys.admit, authorization, client, host)
+        return await anyio.to_thread.run_sync(admit, limiter=self._doors)
 
     def drain(self) -> None:
-        """End the streams and report not ready."""
+        """End the streams, send away what waits for long work, and report not ready; from any thread."""
         self.draining = True
+        if self._loop is not None:
+            self._loop.call_soon_threadsafe(self._drain)
+
+    def _drain(self) -> None:
         self.bell.ring_all()
+        self.workers.drain()
+
+
+def _forget(remembered: dict[Any, Any]) -> None:
+    if len(remembered) > _REMEMBERED:
+        remembered.pop(next(iter(remembered)), None)
 
 
 async def context(request: Request) -> Context:
@@ -122,13 +187,10 @@ async def context(request: Request) -> Context:
 ContextDep = Annotated[Context, Depends(context)]
 
 
-async def caller(request: Request, here: ContextDep) -> Caller:
-    """Who sent the request; see :meth:`service.auth.KeyRing.admit`."""
-    client = request.client.host if request.client else None
-    authorization = request.headers.get("authorization")
-    if here.keys.none_known():
-        return here.keys.admit(authorization, client, request.url.hostname)
-    return await here.run(here.keys.admit, authorization, client, request.url.hostname)
+async def caller(request: Request) -> Caller:
+    """Who sent the request, as :class:`service.admission.Admission` found out."""
+    found: Caller = request.state.caller
+    return found
 
 
 CallerDep = Annotated[Caller, Depends(caller)]

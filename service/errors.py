@@ -9,13 +9,17 @@ __all__ = [
     "BusyError",
     "ConflictError",
     "DatabaseError",
+    "DrainingError",
     "ForbiddenError",
     "NotFoundError",
     "ServiceError",
-    "StepTimeoutError",
+    "SlowBodyError",
+    "StepTooLargeError",
+    "StepTooLongError",
     "TooLargeError",
     "TooManyError",
     "UnsupportedMediaError",
+    "ValidationError",
     "WorkerDiedError",
 ]
 
@@ -61,12 +65,36 @@ class TooManyError(ServiceError):
 
 
 class BusyError(ServiceError):
-    """All workers have enough to do; come again."""
+    """There is enough to do, or the key has used up its share; come again."""
+
+    def __init__(self, message: str, retry_after_s: int = 1) -> None:
+        super().__init__(message)
+        self.retry_after_s = retry_after_s
 
 
-class StepTimeoutError(ServiceError):
-    """A step took too long and was given up."""
+class DrainingError(ServiceError):
+    """The server is about to stop."""
+
+
+class SlowBodyError(ServiceError):
+    """The body did not come."""
+
+
+class StepTooLongError(ServiceError):
+    """What was sent takes too long and was given up; the same again would, too."""
+
+
+class StepTooLargeError(ServiceError):
+    """What was sent takes too much memory and was given up; the same again would, too."""
 
 
 class WorkerDiedError(ServiceError):
     """A worker died over a step."""
+
+
+class ValidationError(ServiceError):
+    """A body is not what was expected; ``found`` says where, what was expected and what came."""
+
+    def __init__(self, message: str, found: list[dict[str, str]]) -> None:
+        super().__init__(message)
+        self.found = found

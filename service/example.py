@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from estimator.simulate import SimulationConfig, measure_scene
+from service.documents import dump
 from service.push import epoch_entry, session_entry, sweep_entry
+from service.worker import TaskContext
 
-__all__ = ["example"]
+__all__ = ["ExampleTask", "example"]
 
 _WALLS = np.array(
     [
@@ -66,3 +69,15 @@ def example(seed: int, step_m: float = 0.5) -> dict[str, Any]:
         },
         "epochs": [epoch_entry(measurements.anchors, epoch) for epoch in measurements.epochs],
     }
+
+
+@dataclass(frozen=True)
+class ExampleTask:
+    """The example of a seed as JSON; see :func:`example`."""
+
+    seed: int
+
+    def run(self, context: TaskContext) -> str:
+        """Make it."""
+        del context
+        return dump(example(self.seed))

@@ -9,19 +9,22 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimator.errors import ConfigurationError, InputError
-from estimator.measurements import GaussianVrp, MeasurementSet
+from estimator.errors import ConfigurationError, FileFormatError, InputError
+from estimator.measurements import Epoch, GaussianVrp, MeasurementSet
 from estimator.slam import Engine, Prior, epoch_rng
 from estimator.slam.run import config_for, engine_for
 from estimator.threads import one_blas_thread
 from service.documents import dump, estimate_document, read_epoch, read_sweep
+
+if TYPE_CHECKING:
+    from service.worker import TaskContext
 
 __all__ = ["Folded", "ForgottenError", "Job", "StateCache", "digest", "engine_of", "fold", "measurement_set"]
 
@@ -56,9 +59,9 @@ class Job:
     epochs: tuple[str, ...]
     remembered: bytes | None = None
 
-    def run(self, cache: StateCache) -> Folded:
+    def run(self, context: TaskContext) -> Folded:
         """Fold it; see :func:`fold`."""
-        return fold(self, cache)
+        return fold(self, context.cache, context.begin_step)
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,9 @@ def engine_of(config: Mapping[str, Any]) -> Engine:
 
 
 @one_blas_thread()
-def fold(job: Job, cache: StateCache | None = None) -> Folded:
+def fold(
+    job: Job, cache: StateCache | None = None, begin_step: Callable[[str], None] = lambda what: None
+) -> Folded:
     """Take a job's epochs into its session's state, as a batch run would.
 
     Parameters
@@ -157,18 +162,20 @@ def fold(job: Job, cache: StateCache | None = None) -> Folded:
         The session and what is new.
     cache : StateCache, optional
         Saves reading the snapshot again.
+    begin_step : callable, optional
+        Told before each epoch what is about to be stepped.
 
     Raises
     ------
     InputError
         If the engine cannot take an epoch, or its estimates are not finite.
     FileFormatError
-        If the snapshot is damaged.
+        If the snapshot is damaged, or of another version of the engine.
     ForgottenError
         If the state to start from is given by its digest and not in the cache.
     """
     config, engine = _configured(job.config)
-    state = None if job.snapshot is None else engine.load(job.snapshot)
+    state = None if job.snapshot is None else _loaded(engine, job.snapshot)
     if job.remembered is not None:
         state = cache.get(job.session_id, job.remembered) if cache is not None else None
         if state is None:
@@ -180,16 +187,32 @@ def fold(job: Job, cache: StateCache | None = None) -> Folded:
             state = engine.start(Prior.of(measurement_set(config, walls)), epoch_rng(config["seed"], -1))
         for text in job.epochs:
             epoch = read_epoch(text)
+            begin_step(_described(epoch))
             state = engine.step(state, epoch, epoch_rng(config["seed"], epoch.index))
             document = estimate_document(epoch.index, epoch.time_s, config["anchors"], engine.estimate(state))
             rows.append(_row(document))
-    except (ArithmeticError, np.linalg.LinAlgError, IndexError, MemoryError) as error:
+    except (ArithmeticError, np.linalg.LinAlgError, IndexError) as error:
         raise InputError(f"the {engine.name} engine cannot take these measurements: {error}") from error
     snapshot = engine.save(state)
     sha256 = digest(snapshot)
     if cache is not None:
         cache.put(job.session_id, sha256, state)
     return Folded(snapshot, sha256, tuple(rows))
+
+
+def _loaded(engine: Engine, snapshot: bytes) -> Any:
+    """The state in a snapshot; whatever keeps it from being read, the log can give it anew."""
+    try:
+        return engine.load(snapshot)
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise FileFormatError(f"snapshot: expected a state of the {engine.name} engine: {error}") from error
+
+
+def _described(epoch: Epoch) -> str:
+    paths = sum(len(entry) for entry in epoch.paths)
+    return f"epoch {epoch.index} ({len(epoch.paths)} anchors, {paths} paths)"
 
 
 @lru_cache(maxsize=256)

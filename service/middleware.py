@@ -1,4 +1,4 @@
-"""Around every request: an id, limits of size and time, the log line, the metrics, plain headers."""
+"""Around every request: an id, a limit of time, the log line, the metrics, plain headers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any
 
 import structlog
 
-from service.errors import TooLargeError, UnsupportedMediaError
 from service.problems import problem
 from service.telemetry import Metrics
 
@@ -44,15 +43,10 @@ class RequestMiddleware:
         Where to count.
     timeout_s : float
         Longest time until an answer begins; streams may then go on.
-    max_body_bytes : int
-        Largest body; what is announced as larger is not read.
     """
 
-    def __init__(
-        self, app: Callable[..., Awaitable[None]], metrics: Metrics, timeout_s: float, max_body_bytes: int
-    ) -> None:
-        self._app, self._metrics = app, metrics
-        self._timeout_s, self._max_body_bytes = timeout_s, max_body_bytes
+    def __init__(self, app: Callable[..., Awaitable[None]], metrics: Metrics, timeout_s: float) -> None:
+        self._app, self._metrics, self._timeout_s = app, metrics, timeout_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -82,7 +76,6 @@ class RequestMiddleware:
         with structlog.contextvars.bound_contextvars(request_id=request_id):
             try:
                 async with limit:
-                    self._check_head(dict(scope["headers"]))
                     await self._app(scope, receive, send_with_headers)
             except TimeoutError:
                 within = False
@@ -99,17 +92,6 @@ class RequestMiddleware:
                 await problem(error, request_id)(scope, receive, send_with_headers)  # type: ignore[arg-type]
             finally:
                 self._tell(scope, status, time.perf_counter() - begin)
-
-    def _check_head(self, headers: dict[bytes, bytes]) -> None:
-        """Refuse by its head what would not be read: too large, or packed."""
-        length = headers.get(b"content-length", b"")
-        if length.isdigit() and int(length[:20]) > self._max_body_bytes:
-            raise TooLargeError(f"body: expected at most {self._max_body_bytes} bytes, got {length.decode()}")
-        packed = headers.get(b"content-encoding", b"identity").strip().lower()
-        if packed not in (b"", b"identity"):
-            raise UnsupportedMediaError(
-                f"body: expected no content encoding, got {packed[:64].decode('latin-1')}"
-            )
 
     def _tell(self, scope: Scope, status: int, seconds: float) -> None:
         route = getattr(scope.get("route"), "path", "other")

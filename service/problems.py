@@ -10,18 +10,16 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
-from starlette.middleware.body_limit import MAX_BODY_SIZE_SCOPE_KEY
 from starlette.routing import Match
 
 from estimator.errors import HapslamError
-from service.errors import ConflictError, UnsupportedMediaError
+from service.errors import ConflictError, UnsupportedMediaError, ValidationError
 from service.refusals import refusal
+from service.violations import WIDTH, violations
 
 __all__ = ["PROBLEM_RESPONSES", "install", "problem"]
 
 _MEDIA_TYPE = "application/problem+json"
-_SHOWN = 20  # validation errors listed
-_WIDTH = 200  # characters of an offending value shown
 
 
 def problem(error: BaseException, request_id: str) -> JSONResponse:
@@ -30,6 +28,8 @@ def problem(error: BaseException, request_id: str) -> JSONResponse:
     more: dict[str, Any] = {}
     if isinstance(error, ConflictError):
         more["expected"] = error.expected
+    if isinstance(error, ValidationError):
+        more["errors"] = error.found
     if answer.status >= 500:
         structlog.get_logger().error("failed", kind=answer.kind, exc_info=error)
     return _document(
@@ -77,10 +77,10 @@ async def _on_error(request: Request, error: Exception) -> JSONResponse:
 async def _on_validation(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)
     if any(entry["loc"] == ("body",) and isinstance(entry.get("input"), bytes) for entry in error.errors()):
-        given = request.headers.get("content-type", "none")[:_WIDTH]
+        given = request.headers.get("content-type", "none")[:WIDTH]
         expected = "expected a body of the type application/json"
         return problem(UnsupportedMediaError(f"{expected}, got {given}"), _request_id(request))
-    found = [_violation(entry, error.body) for entry in error.errors()[:_SHOWN]]
+    found = violations(error.errors(), error.body)
     first = found[0] if found else {"where": "request", "expected": "something else", "got": ""}
     detail = f"{first['where']}: {first['expected']}, got {first['got']}"
     return _document(
@@ -88,32 +88,15 @@ async def _on_validation(request: Request, error: Exception) -> JSONResponse:
     )
 
 
-def _violation(entry: dict[str, Any], body: Any) -> dict[str, str]:
-    """Where a request is not what was expected, what that was, and what came."""
-    where, expected, got = entry["loc"], entry["msg"], _short(entry.get("input"))
-    if entry["type"] == "missing":
-        got = "nothing"
-    elif entry["type"] == "json_invalid":
-        place = int(where[-1])
-        where, expected = where[:-1], f"{expected} at character {place}: {entry['ctx']['error']}"
-        got = _short(str(body)[max(0, place - 10) : place + 10])
-    return {
-        "where": ".".join(str(part) for part in where),
-        "expected": expected.encode("utf-8", "replace").decode(),
-        "got": got,
-    }
-
-
 async def _on_http(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
-    asked, limit = f"{request.method} {request.url.path[:_WIDTH]}", request.scope.get(MAX_BODY_SIZE_SCOPE_KEY)
+    asked = f"{request.method} {request.url.path[:WIDTH]}"
     headers = dict(error.headers or {})
     if error.status_code == 405:
         headers["Allow"] = ", ".join(_methods(request))
     detail = {
         404: f"expected an address that /docs tells of, got {asked}",
         405: f"expected {headers.get('Allow')}, got {asked}",
-        413: f"body: expected at most {limit} bytes, got more",
     }.get(error.status_code, str(error.detail))
     response = _document(error.status_code, "http", "The request was refused", detail, _request_id(request))
     response.headers.update(headers)
@@ -128,18 +111,6 @@ def _methods(request: Request) -> list[str]:
         for method in ("GET", "POST", "PUT", "DELETE")
         if any(route.matches({**asked, "method": method})[0] is Match.FULL for route in request.app.routes)
     ]
-
-
-def _short(value: object) -> str:
-    if isinstance(value, (dict, list, tuple, set)):
-        text = f"a {type(value).__name__} of {len(value)}"
-    elif isinstance(value, str):
-        text = repr(value[:_WIDTH])
-    elif isinstance(value, int) and abs(value) > 10**30:
-        text = "a huge number"
-    else:
-        text = repr(value)[:_WIDTH]
-    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def install(app: FastAPI) -> None:
@@ -171,6 +142,7 @@ PROBLEM_RESPONSES: dict[int | str, dict[str, Any]] = {
         (401, "An API key is needed"),
         (403, "Not allowed from there"),
         (404, "No such thing of yours"),
+        (408, "The body did not come"),
         (409, "The session expects something else next"),
         (413, "Too large"),
         (415, "Of another media type"),

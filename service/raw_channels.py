@@ -12,8 +12,9 @@ from estimator.errors import FileFormatError, InputError
 from estimator.measurements import Epoch
 from estimator.threads import one_blas_thread
 from estimator.waveform import OfdmGrid
-from service.fold import StateCache
+from service.entries import EpochEntry, EpochLimits, entries_of
 from service.uploads import columns, evenly_spaced, read_arrays
+from service.worker import TaskContext
 
 __all__ = ["ChannelsTask"]
 
@@ -43,6 +44,8 @@ class ChannelsTask:
         Whether the agent keeps its axes, so that directions of arrival tell of the map.
     max_unpacked_bytes : int
         Most that the file may unpack to.
+    limits : EpochLimits
+        How much a request may bring.
     """
 
     body: bytes
@@ -52,15 +55,17 @@ class ChannelsTask:
     array: AntennaArray | None
     heading_held: bool
     max_unpacked_bytes: int
+    limits: EpochLimits
 
     @one_blas_thread()
-    def run(self, cache: StateCache) -> tuple[Epoch, ...]:
+    def run(self, context: TaskContext) -> tuple[EpochEntry, ...]:
         """Read the file and estimate; raises FileFormatError or InputError."""
-        del cache
+        del context
         from estimator.channel.nomp import NompPlan  # of the workers alone: the server starts sooner
         from estimator.extract import paths_of
 
         channels = self._read()
+        self.limits.check_count(len(channels.epoch))
         plan = NompPlan(channels.grid, array=self.array)
         rows = channels.cfr.reshape(-1, *channels.cfr.shape[2:])
         batch = max(_LEAST_BATCH, _BATCH // int(np.prod(rows.shape[1:-1])))
@@ -70,7 +75,7 @@ class ChannelsTask:
             for estimate in plan.estimate(rows[first : first + batch], self.noise_variance)
         ]
         count = len(self.anchors)
-        return tuple(
+        epochs = (
             Epoch(
                 int(index),
                 float(time_s),
@@ -79,6 +84,7 @@ class ChannelsTask:
             )
             for i, (index, time_s) in enumerate(zip(channels.epoch, channels.time_s, strict=True))
         )
+        return entries_of(epochs, self.limits)
 
     def _read(self) -> _Channels:
         """The file's content, checked; anchors in the session's order."""

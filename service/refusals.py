@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sqlalchemy.exc import DBAPIError, IntegrityError, InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
@@ -12,12 +12,16 @@ from service.errors import (
     AuthenticationError,
     BusyError,
     ConflictError,
+    DrainingError,
     ForbiddenError,
     NotFoundError,
-    StepTimeoutError,
+    SlowBodyError,
+    StepTooLargeError,
+    StepTooLongError,
     TooLargeError,
     TooManyError,
     UnsupportedMediaError,
+    ValidationError,
     WorkerDiedError,
 )
 
@@ -58,7 +62,11 @@ _TABLE: tuple[tuple[type[BaseException] | tuple[type[BaseException], ...], Refus
     (UnsupportedMediaError, Refusal(415, "media-type", "Of another media type")),
     (TooManyError, Refusal(429, "too-many-sessions", "Too many sessions", 3600)),
     (BusyError, Refusal(429, "busy", "Busy", 1)),
-    (StepTimeoutError, Refusal(422, "step-too-long", "The step took too long")),
+    (ValidationError, Refusal(422, "validation", "The request is not what was expected")),
+    (StepTooLongError, Refusal(422, "step-too-long", "The step takes too long")),
+    (StepTooLargeError, Refusal(422, "step-too-large", "The step takes too much memory")),
+    (SlowBodyError, Refusal(408, "slow-body", "The body did not come")),
+    (DrainingError, Refusal(503, "draining", "The server is about to stop", 5)),
     (WorkerDiedError, Refusal(503, "worker-died", "The worker died", 1)),
     (FileFormatError, Refusal(422, "file-format", "The file is not what was expected")),
     (InputError, Refusal(422, "input", "The input is not what was expected")),
@@ -90,7 +98,7 @@ def refusal(error: BaseException) -> Refusal:
     """How ``error`` is answered."""
     for kind, answer in _TABLE:
         if isinstance(error, kind):
-            return answer
+            return replace(answer, retry_after_s=getattr(error, "retry_after_s", answer.retry_after_s))
     if isinstance(error, DBAPIError) and not isinstance(error, IntegrityError):
         text = str(error.orig).lower()
         for words, answer in _DATABASE:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,7 +23,6 @@ from service.store import Store
 __all__ = ["latest_epoch", "map_document", "measurements_file", "picture", "result_file", "session_result"]
 
 _LAST = 2**31 - 1
-_drawing = threading.Lock()  # Matplotlib's settings are the process's
 
 
 def latest_epoch(row: Row[Any], epoch: int | None) -> int:
@@ -81,7 +79,7 @@ def picture(result: SlamResult, title: str, suffix: str) -> bytes:
     """The map as a picture, ``"png"`` or ``"svg"``."""
     from estimator.plots import draw_map, save_figure  # Matplotlib is slow to import
 
-    with _drawing, TemporaryDirectory(prefix="hapslam-") as folder:
+    with TemporaryDirectory(prefix="hapslam-") as folder:
         file = Path(folder) / f"map.{suffix}"
         save_figure(draw_map(result, title=title or None), file)
         return file.read_bytes()

@@ -11,26 +11,28 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
 
 import structlog
 
 from estimator.errors import FileFormatError, InputError
-from estimator.measurements import Epoch, GaussianVrp
-from service.documents import epoch_text, sweep_text
+from estimator.measurements import GaussianVrp
+from service.documents import sweep_text
+from service.entries import EpochEntry
 from service.errors import BusyError, ConflictError, TooLargeError
 from service.fold import Folded, ForgottenError, Job, digest
 from service.store import RevisionError, Step, Store
 
-__all__ = ["Taken", "new_session_id", "rebuild", "take_epochs", "take_sweep"]
+__all__ = ["Taken", "new_session_id", "take_epochs", "take_sweep"]
 
 _ATTEMPTS = 20
+_REBUILT_AT_ONCE = 200  # epochs folded in one piece of work, so that each stays within a worker's limits
 
 
 class Folder(Protocol):
-    """What folds jobs: :class:`service.workers.StepPool`, or any stand-in."""
+    """What folds jobs: :class:`service.worker.Worker`, or any stand-in."""
 
     def fold(self, job: Job) -> Folded:
         """Fold a job."""
@@ -49,12 +51,15 @@ class Taken:
         How many of them were new.
     state : str or None
         The estimate after the last, JSON, if it was computed just now.
+    walls : int or None
+        How many walls stand in it.
     """
 
     first: int
     last: int
     new: int
     state: str | None = None
+    walls: int | None = None
 
 
 def new_session_id() -> str:
@@ -63,7 +68,7 @@ def new_session_id() -> str:
 
 
 def take_epochs(
-    store: Store, pool: Folder, session_id: str, key_id: str | None, epochs: Sequence[Epoch]
+    store: Store, pool: Folder, session_id: str, key_id: str | None, epochs: Sequence[EpochEntry]
 ) -> Taken:
     """Take epochs into a session; when this returns they are on disk.
 
@@ -73,7 +78,7 @@ def take_epochs(
         Where sessions are kept, and who steps them.
     session_id, key_id : str
         The session, and the key it must belong to.
-    epochs : sequence of Epoch
+    epochs : sequence of EpochEntry
         Consecutive epochs, anchors in the session's order.
 
     Raises
@@ -87,14 +92,14 @@ def take_epochs(
     BusyError
         If too much is going on.
     """
-    entries = [(epoch.index, epoch_text(epoch)) for epoch in epochs]
+    entries = [(epoch.number, epoch.body) for epoch in epochs]
     _consecutive("epoch", [number for number, _ in entries])
     first, last = entries[0][0], entries[-1][0]
     for _ in range(_ATTEMPTS):
         try:
             with store.stepping(session_id, key_id) as step:
                 new = _new_entries(step, "epoch", entries, step.row.next_epoch)
-                state = None
+                state = walls = None
                 if new:
                     known_time = step.row.time_s
                     for epoch in epochs[-len(new) :]:
@@ -102,8 +107,8 @@ def take_epochs(
                         known_time = epoch.time_s
                     folded = _advance(step, pool, tuple(body for _, body in new))
                     step.commit("epoch", new, folded, epochs[-1].time_s)
-                    state = folded.estimates[-1]["document"]
-                return Taken(first, last, len(new), state)
+                    state, walls = (folded.estimates[-1][name] for name in ("document", "walls"))
+                return Taken(first, last, len(new), state, walls)
         except RevisionError:
             continue
     raise BusyError("expected a free moment of the session, other requests keep changing it")
@@ -151,20 +156,6 @@ def take_sweep(
     raise BusyError("expected a free moment of the session, other requests keep changing it")
 
 
-def rebuild(store: Store, pool: Folder, session_id: str, config: str) -> Folded:
-    """A session's state and estimates computed anew from its log.
-
-    Raises
-    ------
-    InputError
-        If the log holds no epoch.
-    """
-    with store.reading() as connection:
-        sweeps = store.log(session_id, "sweep", connection)
-        epochs = store.log(session_id, "epoch", connection)
-    return pool.fold(Job(session_id, config, tuple(sweeps), None, tuple(epochs)))
-
-
 def _advance(step: Step, pool: Folder, epochs: tuple[str, ...]) -> Folded:
     """Fold new epochs on top of the snapshot; a damaged snapshot is computed anew from the log."""
     row = step.row
@@ -185,9 +176,18 @@ def _advance(step: Step, pool: Folder, epochs: tuple[str, ...]) -> Folded:
     else:
         reason = "missing" if kept is None else "its digest differs"
     structlog.get_logger().warning("snapshot damaged, rebuilt from the log", session=row.id, reason=reason)
+    return pool.fold(Job(row.id, row.config, (), _rebuilt(step, pool), epochs))
+
+
+def _rebuilt(step: Step, pool: Folder) -> bytes:
+    """The state after the last epoch, folded from the log piece by piece."""
+    row, snapshot = step.row, None
     past = tuple(step.known("epoch", 0, row.next_epoch - 1).values())
-    folded = pool.fold(Job(row.id, row.config, _sweeps(step), None, past + epochs))
-    return replace(folded, estimates=folded.estimates[len(past) :])
+    for first in range(0, len(past), _REBUILT_AT_ONCE):
+        part = past[first : first + _REBUILT_AT_ONCE]
+        snapshot = pool.fold(Job(row.id, row.config, _sweeps(step), snapshot, part)).snapshot
+    assert snapshot is not None
+    return snapshot
 
 
 def _sweeps(step: Step) -> tuple[str, ...]:
@@ -225,10 +225,10 @@ def _new_entries(
     return [entry for entry in entries if entry[0] >= expected]
 
 
-def _later(epoch: Epoch, known_time_s: Any) -> None:
+def _later(epoch: EpochEntry, known_time_s: Any) -> None:
     if known_time_s is not None and not epoch.time_s > known_time_s:
         raise ConflictError(
-            f"epoch {epoch.index}: expected a time after {known_time_s} s, got {epoch.time_s} s; "
+            f"epoch {epoch.number}: expected a time after {known_time_s} s, got {epoch.time_s} s; "
             "nothing was taken in",
-            {"next_epoch": epoch.index, "time_after_s": known_time_s},
+            {"next_epoch": epoch.number, "time_after_s": known_time_s},
         )

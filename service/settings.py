@@ -34,12 +34,33 @@ class Settings(BaseSettings):
         ``sqlite:///FILE`` or ``postgresql://USER:PASSWORD@HOST/NAME``.
     host, port : str, int
         Where to listen; beyond loopback only once an API key exists.
-    workers : int
-        Processes that step sessions; 0 steps in the server's own process.
+    workers, bulk_workers, read_workers : int
+        Processes that step sessions, that read files and what is large, and that make maps and pictures;
+        with no ``workers`` all is done in the server's own process.
+    max_worker_bytes : int
+        Memory of one of them: libraries take about 200 MiB of it, what is compiled included.
     max_waiting : int
-        Requests that may wait for one worker; more are answered 429.
-    max_body_bytes : int
-        Largest request body.
+        Requests of a key that may wait for each kind of worker; more are answered 429.
+    max_wait_s : float
+        How long a request waits for a worker before it is answered 429.
+    max_work_s_per_minute : float
+        Running seconds of a key in a minute, of all workers together; more is answered 429.
+    step_timeout_s : float
+        Processor time of one epoch; what takes longer is answered 422.
+    work_timeout_s : float
+        Time of all the work of a request; what takes longer is answered 422.
+    max_step_pairs : int
+        Paths of an epoch times the walls of its session and one: the engine's work and memory grow with it.
+    prompt_pairs : int
+        Of a whole request; what has more is done by the workers for what is large.
+    max_body_bytes, max_json_bytes, max_small_json_bytes : int
+        Largest body: of a file, of epochs and a truth as JSON, of any other JSON.
+    max_bodies_bytes : int
+        All bodies that are being received or worked on; a key may have half of it.
+    max_streams_per_key : int
+        Event streams that a key may have open.
+    head_timeout_s, body_stall_s : float
+        How long a connection may take to send a request's head, and the next piece of its body.
     max_epochs_per_request, max_paths_per_anchor, max_anchors, max_walls : int
         Largest numbers in one request or session.
     max_unpacked_bytes : int
@@ -62,14 +83,29 @@ class Settings(BaseSettings):
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8600
     workers: Annotated[int, Field(ge=0, le=256)] = Field(default_factory=lambda: os.cpu_count() or 1)
+    bulk_workers: Annotated[int, Field(ge=1, le=256)] = Field(default_factory=lambda: _half())
+    read_workers: Annotated[int, Field(ge=1, le=256)] = Field(default_factory=lambda: _half())
+    max_worker_bytes: Annotated[int, Field(ge=256 * 2**20)] = 576 * 2**20
     max_waiting: Count = 64
+    max_wait_s: Seconds = 30.0
+    max_work_s_per_minute: Seconds = 90.0
+    step_timeout_s: Seconds = 10.0
+    work_timeout_s: Seconds = 90.0
+    max_step_pairs: Count = 20_000
+    prompt_pairs: Count = 20_000
     max_smoothed_epochs: Count = 10_000
     max_body_bytes: Count = 64 * 2**20
+    max_json_bytes: Count = 16 * 2**20
+    max_small_json_bytes: Count = 256 * 2**10
+    max_bodies_bytes: Count = 160 * 2**20
+    max_streams_per_key: Count = 64
+    head_timeout_s: Seconds = 10.0
+    body_stall_s: Seconds = 10.0
     max_epochs_per_request: Count = 10_000
     max_paths_per_anchor: Count = 200
     max_anchors: Count = 64
     max_walls: Count = 64
-    max_unpacked_bytes: Count = 512 * 2**20
+    max_unpacked_bytes: Count = 128 * 2**20
     max_sessions_per_key: Count = 10_000
     request_timeout_s: Seconds = 120.0
     drain_s: Seconds = 20.0
@@ -91,6 +127,11 @@ class Settings(BaseSettings):
         """The database's URL, with the driver that the service uses."""
         url = make_url(self.database_url.get_secret_value())
         return url.set(drivername="postgresql+psycopg") if url.get_backend_name() == "postgresql" else url
+
+
+def _half() -> int:
+    """Half of the processors, at least one."""
+    return max(1, (os.cpu_count() or 1) // 2)
 
 
 def load_settings(config: Path | None = None, **overrides: object) -> Settings:

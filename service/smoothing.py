@@ -1,11 +1,11 @@
-"""All of a session given all of its measurements: the run smoothed, in a worker process."""
+"""All of a session given all of its measurements: the run smoothed, as a document."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,55 +14,43 @@ from estimator.errors import InputError
 from estimator.result import SlamResult
 from estimator.threads import one_blas_thread
 from service.documents import dump, read_epoch, read_sweep
-from service.fold import StateCache, measurement_set
+from service.fold import measurement_set
 from service.results import map_document
 
-__all__ = ["SmoothTask"]
+__all__ = ["smoothed_document"]
 
 
-@dataclass(frozen=True)
-class SmoothTask:
-    """Smooth a run; see :func:`estimator.slam.smoothing.refine.refine`.
+@one_blas_thread()
+def smoothed_document(
+    config_text: str, sweeps: Sequence[str], epochs: Sequence[str], result: SlamResult, lag: int
+) -> str:
+    """A run smoothed, as JSON; see :func:`estimator.slam.smoothing.refine.refine`.
 
     Parameters
     ----------
-    config : str
+    config_text : str
         The session's configuration, JSON.
-    sweeps, epochs : tuple of str
+    sweeps, epochs : sequence of str
         Its log.
     result : SlamResult
         What its engine made of it.
     lag : int
         Epochs that the smoother looks ahead; 0 for the whole run.
+
+    Raises
+    ------
+    InputError
+        If it cannot be smoothed: no wall was sensed at the start, or the measurements do not
+        determine everything.
     """
+    from estimator.slam.smoothing.refine import RefineConfig, refine
 
-    config: str
-    sweeps: tuple[str, ...]
-    epochs: tuple[str, ...]
-    result: SlamResult
-    lag: int
-
-    @one_blas_thread()
-    def run(self, cache: StateCache) -> str:
-        """The smoothed run as a JSON document.
-
-        Raises
-        ------
-        InputError
-            If it cannot be smoothed: no wall was sensed at the start, or the measurements do not
-            determine everything.
-        """
-        del cache
-        from estimator.slam.smoothing.refine import RefineConfig, refine
-
-        config = json.loads(self.config)
-        walls = [wall for text in self.sweeps for wall in read_sweep(text)]
-        measurements = replace(
-            measurement_set(config, walls), epochs=tuple(read_epoch(text) for text in self.epochs)
-        )
-        with _explained():
-            smoothed = refine(measurements, self.result, config=RefineConfig(lag=self.lag))
-            return dump(_document(smoothed, config["start_frame"]))
+    config = json.loads(config_text)
+    walls = [wall for text in sweeps for wall in read_sweep(text)]
+    measurements = replace(measurement_set(config, walls), epochs=tuple(read_epoch(text) for text in epochs))
+    with _explained():
+        smoothed = refine(measurements, result, config=RefineConfig(lag=lag))
+        return dump(_document(smoothed, config["start_frame"]))
 
 
 @contextmanager

@@ -9,6 +9,7 @@ it finds the revision changed and begins anew.
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -217,12 +218,30 @@ class Store:
         )
         return connection.execute(query.order_by(estimates.c.epoch).limit(limit))
 
+    def track(
+        self, session_id: str, first: int, connection: Connection, limit: int, columns: Sequence[str]
+    ) -> Sequence[Row[Any]]:
+        """Columns of estimates, epochs from ``first`` on, ascending."""
+        query = sa.select(*(estimates.c[name] for name in columns)).where(
+            estimates.c.session_id == session_id, estimates.c.epoch >= first
+        )
+        return connection.execute(query.order_by(estimates.c.epoch).limit(limit)).all()
+
     def log(self, session_id: str, kind: str, connection: Connection) -> list[str]:
         """The whole log of a kind, in order."""
         query = sa.select(measurements.c.body).where(
             measurements.c.session_id == session_id, measurements.c.kind == kind
         )
         return list(connection.execute(query.order_by(measurements.c.number)).scalars())
+
+    def walls(self, session_id: str) -> int:
+        """How many walls a session's engine has at least: those sensed at the start, or of the last epoch."""
+        last = sa.select(estimates.c.walls).where(estimates.c.session_id == session_id)
+        with self.reading() as connection:
+            found = connection.execute(last.order_by(estimates.c.epoch.desc()).limit(1)).scalar_one_or_none()
+            if found is not None:
+                return int(found)
+            return sum(len(json.loads(body)["walls"]) for body in self.log(session_id, "sweep", connection))
 
     def truth(self, session_id: str, connection: Connection) -> str | None:
         """The truth that was given to a session for comparison."""

@@ -19,12 +19,16 @@ from numpy.typing import NDArray
 from estimator.dataset import KINDS, MANIFEST, open_dataset
 from estimator.errors import FileFormatError, InputError
 from estimator.hdf5_guard import Hdf5Limits, check_hdf5
-from estimator.measurements import MeasurementSet, load_measurements
+from estimator.measurements import GaussianVrp, MeasurementSet, load_measurements
 from estimator.waveform import OfdmGrid
 from service.archives import ZIP, ArchiveLimits, npz_arrays, opened_archive
+from service.bodies import parsed
 from service.confinement import confined_reading
-from service.fold import StateCache
-from service.push import truth_entry
+from service.documents import dump
+from service.entries import EpochEntry, EpochLimits, entries_of
+from service.push import session_entry, truth_entry
+from service.schemas import Truth
+from service.worker import TaskContext
 
 __all__ = ["FileTask", "Unpacked", "columns", "evenly_spaced", "read_arrays"]
 
@@ -37,14 +41,20 @@ class Unpacked:
 
     Parameters
     ----------
-    measurements : MeasurementSet
-        Walls and epochs.
-    truth : dict or None
-        The truth, as ``PUT .../truth`` takes it.
+    session : dict
+        What a request for a session says of it: anchors, carrier, and what else is known.
+    walls : tuple of GaussianVrp
+        Sensed at the start.
+    epochs : tuple of EpochEntry
+        As the log keeps them.
+    truth : str or None
+        The truth, as the database keeps it.
     """
 
-    measurements: MeasurementSet
-    truth: dict[str, Any] | None = None
+    session: dict[str, Any]
+    walls: tuple[GaussianVrp, ...]
+    epochs: tuple[EpochEntry, ...]
+    truth: str | None = None
 
 
 @dataclass(frozen=True)
@@ -57,17 +67,20 @@ class FileTask:
         The file.
     max_unpacked_bytes : int
         Most that it may unpack to.
+    limits : EpochLimits
+        How much it may bring.
     """
 
     body: bytes
     max_unpacked_bytes: int
+    limits: EpochLimits
 
-    def run(self, cache: StateCache) -> Unpacked:
-        """Read it; raises FileFormatError, InputError or FileTooLargeError."""
-        del cache
+    def run(self, context: TaskContext) -> Unpacked:
+        """Read it; raises FileFormatError, InputError, FileTooLargeError or TooLargeError."""
+        del context
         with TemporaryDirectory(prefix="hapslam-") as folder:
             if self.body.startswith(ZIP):
-                return _dataset(self.body, Path(folder), self.max_unpacked_bytes)
+                return _dataset(self.body, Path(folder), self.max_unpacked_bytes, self.limits)
             if not self.body.startswith(_HDF5):
                 raise FileFormatError("file: expected a netCDF-4 measurement file or a zipped dataset")
             file = Path(folder) / "measurements.nc"
@@ -75,7 +88,7 @@ class FileTask:
             with confined_reading():
                 check_hdf5(file, Hdf5Limits(bytes=self.max_unpacked_bytes))
                 try:
-                    return Unpacked(load_measurements(file))
+                    return _unpacked(load_measurements(file), self.limits)
                 except InputError as error:
                     raise _without(folder, error) from error
 
@@ -133,7 +146,19 @@ def evenly_spaced(offset_hz: NDArray[np.float64], carrier_hz: float) -> OfdmGrid
     return OfdmGrid(carrier_hz, float(spacing.mean()), len(offset_hz))
 
 
-def _dataset(body: bytes, folder: Path, limit: int) -> Unpacked:
+def _unpacked(
+    measurements: MeasurementSet, limits: EpochLimits, truth: dict[str, Any] | None = None
+) -> Unpacked:
+    limits.check_count(len(measurements.epochs))
+    entry = session_entry(measurements)
+    if truth is None:
+        return Unpacked(entry, measurements.walls, entries_of(measurements.epochs, limits))
+    text = parsed(Truth, dump(truth).encode()).model_dump_json()
+    entry["start_frame"] = truth["start_frame"]
+    return Unpacked(entry, measurements.walls, entries_of(measurements.epochs, limits), text)
+
+
+def _dataset(body: bytes, folder: Path, limit: int, limits: EpochLimits) -> Unpacked:
     """Unpack a dataset under names of our own and estimate its measurements."""
     from estimator.extract import extract
 
@@ -151,8 +176,8 @@ def _dataset(body: bytes, folder: Path, limit: int) -> Unpacked:
             dataset = open_dataset(folder)
             measurements = extract(dataset)
             if not any(entry["kind"] == "truth" for entry in dataset.manifest["shards"]):
-                return Unpacked(measurements)
-            return Unpacked(measurements, truth_entry(folder))
+                return _unpacked(measurements, limits)
+            return _unpacked(measurements, limits, truth_entry(folder))
         except InputError as error:
             raise _without(str(folder), error) from error
 

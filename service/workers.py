@@ -1,184 +1,128 @@
-"""Long-lived processes that step sessions; a session keeps its worker.
+"""The worker processes of a server, by what they do.
 
-So many may wait for a worker and no more: who comes then is told to come again. A worker that
-exceeds its time or dies is replaced; what it had in work was not committed, so
-nothing is lost. Workers end with the server, even if it was killed.
+``steps`` take a few epochs into a session and are quick; ``bulk`` reads files of strangers, parses large
+bodies and takes in what is large; ``reads`` makes maps, pictures and files from the database. What may
+take long is done in processes that come last on a busy processor, so that a step of another
+key waits for none of it.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import select
-import signal
-import threading
-import warnings
-import zlib
-from multiprocessing.connection import Connection, wait
-from types import TracebackType
-from typing import Any, Protocol, TypeVar
+import asyncio
+import time
+from collections.abc import Callable
+from enum import StrEnum
+from typing import TypeVar
 
-from service.confinement import limit_memory
-from service.errors import BusyError, StepTimeoutError, WorkerDiedError
-from service.fold import Folded, Job, StateCache
+import anyio
+import anyio.to_thread
 
-__all__ = ["StepPool", "Task"]
+from service.settings import Settings
+from service.store import Store
+from service.turns import Key, Quota, TurnRules, Turns
+from service.worker import LocalWorker, Task, TaskContext, Worker, WorkerSetup
+
+__all__ = ["AnyWorker", "Lane", "Workers"]
 
 T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
+AnyWorker = Worker | LocalWorker
+_BEHIND = 15  # niceness of what may take long: a fiftieth of the processor beside a step
 
 
-def _serve(connection: Connection, most_bytes: int) -> None:
-    """Life of a worker: task after task until the server is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the server drains, then closes the connection
-    limit_memory(most_bytes)
-    warnings.simplefilter("ignore", RuntimeWarning)  # wild measurements overflow; estimates are checked
-    parent = multiprocessing.parent_process()
-    threading.Thread(target=_end_with, args=(parent.sentinel if parent else -1,), daemon=True).start()
-    cache = StateCache()
-    while True:
-        try:
-            task: Task[Any] = connection.recv()
-        except (EOFError, OSError):
-            return
-        answer: tuple[Any, Exception | None]
-        try:
-            answer = (task.run(cache), None)
-        except Exception as error:  # to be raised where the request waits
-            answer = (None, error)
-        connection.send(answer)
+class Lane(StrEnum):
+    """What workers are for."""
+
+    STEPS = "steps"
+    BULK = "bulk"
+    READS = "reads"
 
 
-def _end_with(sentinel: int) -> None:
-    wait([sentinel])
-    os._exit(1)
-
-
-class Task(Protocol[T_co]):
-    """Work for a worker: it travels to the process and back by value."""
-
-    def run(self, cache: StateCache) -> T_co:
-        """Do it."""
-        ...
-
-
-class StepPool:
-    """Folds jobs in processes of their own.
+class Workers:
+    """All worker processes, and who waits for them.
 
     Parameters
     ----------
-    workers : int
-        Processes; 0 folds in the calling thread.
-    max_waiting : int
-        Jobs that may wait for one worker.
-    timeout_s : float
-        Longest time of one job.
-    most_bytes : int
-        Memory of a process.
+    settings : Settings
+        How many, and their limits; with ``workers = 0`` everything is done in this process.
+    store : Store
+        The database, for what is done in this process.
     """
 
-    def __init__(
-        self, workers: int, max_waiting: int, timeout_s: float, most_bytes: int = 576 * 2**20
-    ) -> None:
-        self._workers = [_Worker(max_waiting, timeout_s, most_bytes) for _ in range(workers)]
-        self._own = threading.Lock()
-        self._cache = StateCache()
+    def __init__(self, settings: Settings, store: Store) -> None:
+        self._quota = Quota(settings.max_work_s_per_minute)
+        self._workers = _made(settings, store)
+        rules = TurnRules(settings.max_waiting, settings.max_wait_s)
+        self._turns = {lane: Turns(workers, rules) for lane, workers in self._workers.items()}
+        self._threads = anyio.CapacityLimiter(sum(len(workers) for workers in self._workers.values()))
 
-    def __enter__(self) -> StepPool:
-        for worker in self._workers:
+    def start(self) -> None:
+        """Begin the processes."""
+        for worker in self._all():
             worker.start()
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for worker in self._workers:
+    def stop(self) -> None:
+        """End the processes, whatever they do."""
+        for worker in self._all():
             worker.stop()
+
+    def _all(self) -> list[AnyWorker]:
+        return [worker for workers in self._workers.values() for worker in workers]
 
     @property
     def waiting(self) -> int:
-        """Jobs that wait or are in work."""
-        return sum(worker.waiting for worker in self._workers)
+        """Requests that wait for a worker or have one."""
+        return sum(turns.waiting for turns in self._turns.values())
 
-    def fold(self, job: Job) -> Folded:
-        """Fold a job with its session's worker; raises as :meth:`run` and :func:`service.fold.fold`."""
-        return self.run(job.session_id, job)
+    def drain(self) -> None:
+        """Send away all that could take long; steps are still finished."""
+        for lane in (Lane.BULK, Lane.READS):
+            self._turns[lane].close()
 
-    def run(self, key: str, task: Task[T]) -> T:
-        """Run a task with the worker that ``key`` belongs to.
+    async def run(self, lane: Lane, key: Key, session: str, task: Task[T]) -> T:
+        """Have a task done in a process.
 
         Raises
         ------
         BusyError
-            If too many tasks wait for the worker.
-        StepTimeoutError
-            If the task took too long.
-        WorkerDiedError
-            If the worker died over it.
+            If too much is going on, or the key has used up its share.
+        DrainingError, StepTooLongError, StepTooLargeError, WorkerDiedError
+            See :meth:`service.worker.Worker.do`.
         """
-        if not self._workers:
-            with self._own:
-                return task.run(self._cache)
-        result: T = self._workers[zlib.crc32(key.encode()) % len(self._workers)].do(task)
-        return result
+        return await self.hold(lane, key, session, lambda worker: worker.do(task))
 
+    async def hold(self, lane: Lane, key: Key, session: str, work: Callable[[AnyWorker], T]) -> T:
+        """Run a function in a thread that has a worker to itself; raises as :meth:`run`.
 
-class _Worker:
-    """A process that does one task at a time, and those who wait for it."""
+        Who gives up while waiting waits no longer; what is in work is finished.
+        """
+        self._quota.check(key)
+        worker = await self._turns[lane].take(key, session)
+        finished = asyncio.ensure_future(self._finish(lane, key, worker, work))
+        finished.add_done_callback(_seen)
+        return await asyncio.shield(finished)
 
-    def __init__(self, max_waiting: int, timeout_s: float, most_bytes: int) -> None:
-        self._timeout_s, self._max_waiting, self._most_bytes = timeout_s, max_waiting, most_bytes
-        self._turn, self._guard = threading.Lock(), threading.Lock()
-        self.waiting = 0
-
-    def start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, self._most_bytes), daemon=True)
-        self._process.start()
-        theirs.close()
-        self._answered = select.poll()
-        self._answered.register(self._connection.fileno(), select.POLLIN)
-
-    def stop(self) -> None:
-        taken = self._turn.acquire(timeout=self._timeout_s)  # what is in work is finished
-        self._process.kill()
-        self._process.join()
-        self._connection.close()
-        if taken:
-            self._turn.release()
-
-    def do(self, task: Task[Any]) -> Any:
-        with self._guard:
-            if self.waiting > self._max_waiting:
-                raise BusyError(f"expected a free worker, {self.waiting} requests wait already")
-            self.waiting += 1
+    async def _finish(self, lane: Lane, key: Key, worker: AnyWorker, work: Callable[[AnyWorker], T]) -> T:
+        begin = time.monotonic()
         try:
-            with self._turn:
-                return self._ask(task)
+            return await anyio.to_thread.run_sync(work, worker, limiter=self._threads)
         finally:
-            with self._guard:
-                self.waiting -= 1
+            self._quota.charge(key, time.monotonic() - begin)
+            self._turns[lane].give_back(worker, key)
 
-    def _ask(self, task: Task[Any]) -> Any:
-        try:
-            self._connection.send(task)
-            if not self._answered.poll(1000.0 * self._timeout_s):
-                self._replace()
-                raise StepTimeoutError(f"expected the step to take at most {self._timeout_s:g} s, gave it up")
-            value, problem = self._connection.recv()
-        except (EOFError, OSError) as error:
-            self._replace()
-            raise WorkerDiedError(
-                "the process that stepped the session died; nothing was taken in"
-            ) from error
-        if problem is not None:
-            raise problem
-        return value
 
-    def _replace(self) -> None:
-        self._process.kill()
-        self._process.join()
-        self._connection.close()
-        self.start()
+def _made(settings: Settings, store: Store) -> dict[Lane, list[AnyWorker]]:
+    if settings.workers == 0:
+        return {lane: [LocalWorker(TaskContext(store=store))] for lane in Lane}
+    limits = (settings.max_worker_bytes, settings.step_timeout_s, settings.work_timeout_s)
+    database = settings.url.render_as_string(hide_password=False), settings.lock_timeout_s
+    return {
+        Lane.STEPS: [Worker(WorkerSetup(*limits)) for _ in range(settings.workers)],
+        Lane.BULK: [Worker(WorkerSetup(*limits, _BEHIND)) for _ in range(settings.bulk_workers)],
+        Lane.READS: [Worker(WorkerSetup(*limits, _BEHIND, database)) for _ in range(settings.read_workers)],
+    }
+
+
+def _seen(finished: asyncio.Future[T]) -> None:
+    """An error of one who has gone is nobody's surprise."""
+    if not finished.cancelled():
+        finished.exception()

@@ -10,11 +10,10 @@ from fastapi.routing import APIRoute
 from starlette.routing import Match
 
 from estimator.arrays import BeamSet
-from estimator.errors import FileFormatError
 from service.beam_sweeps import EchoModel, EchoTask
 from service.context import ContextDep, SessionDep
-from service.errors import WorkerDiedError
 from service.routes.measurements import take_walls
+from service.routes.uploads import unpacked
 
 __all__ = ["router"]
 
@@ -56,10 +55,7 @@ async def raw_sweep(
         model,
         here.settings.max_unpacked_bytes,
     )
-    try:
-        walls = await here.run(here.pool.run, session.id, task)
-    except WorkerDiedError as error:
-        raise FileFormatError("file: expected one that can be read, its reader crashed over it") from error
+    walls = await unpacked(here, session, task)
     return await take_walls(here, session, sweep, list(walls), response)
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import sqlalchemy as sa
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
-from sqlalchemy.exc import SQLAlchemyError
 
-from service.context import Context, ContextDep
+from service.context import ContextDep
 
 __all__ = ["router"]
 
@@ -26,9 +24,7 @@ async def readyz(here: ContextDep) -> JSONResponse:
     """The database answers and the server is not about to stop."""
     if here.draining:
         return JSONResponse({"status": "draining"}, 503)
-    try:
-        await here.run(_ask, here)
-    except SQLAlchemyError:
+    if not await here.readiness.ready(here.store.engine):
         return JSONResponse({"status": "no database"}, 503)
     return JSONResponse({"status": "ready"})
 
@@ -36,10 +32,5 @@ async def readyz(here: ContextDep) -> JSONResponse:
 @router.get("/metrics", summary="Counters for Prometheus", response_class=Response)
 async def metrics(here: ContextDep) -> Response:
     """The counters, in Prometheus' text form."""
-    here.metrics.waiting.set(here.pool.waiting)
+    here.metrics.waiting.set(here.workers.waiting)
     return Response(generate_latest(here.metrics.registry), media_type=CONTENT_TYPE_LATEST)
-
-
-def _ask(here: Context) -> None:
-    with here.store.reading() as connection:
-        connection.execute(sa.select(1))

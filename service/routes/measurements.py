@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 
-from estimator.measurements import Epoch, GaussianVrp
+from estimator.measurements import GaussianVrp
 from service.beam_sweeps import PointsTask
+from service.bodies import EpochsTask, json_content
 from service.context import Context, ContextDep, SessionAccess, SessionDep
+from service.entries import EpochEntry, EpochLimits
 from service.epoch_schemas import EpochsRequest
 from service.errors import TooLargeError
 from service.schemas import SweepRequest
 from service.sessions import Taken, take_epochs, take_sweep
-from service.settings import Settings
+from service.workers import AnyWorker, Lane
 
-__all__ = ["BINARY_SWEEP", "answer", "router", "take", "take_walls"]
+__all__ = ["BINARY_SWEEP", "limits", "router", "take", "take_walls"]
+
+_FEW_EPOCHS = 100  # that a worker for steps takes at once: some tenths of a second
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["measurements"])
 
@@ -58,11 +63,14 @@ async def sweeps(
     beam, tone), `tone_offset_hz` and `sweep_epoch`, as `hapslam trace` writes its echo shards: the walls
     in its first sweep are found.
     """
+    count, most = len(request.walls) + len(request.flashes), here.settings.max_walls
+    if count > most:
+        raise TooLargeError(f"walls: expected at most {most} in a session, got {count}")
     walls = request.gaussians()
     if request.points:
         rows = [(point.range_m, point.range_std_m, point.azimuth_rad) for point in request.points]
         await here.run(here.store.session, session.id, session.key_id)
-        walls += await here.run(here.pool.run, session.id, PointsTask(*zip(*rows, strict=True)))
+        walls += await here.work(Lane.BULK, session, PointsTask(*zip(*rows, strict=True)))
     return await take_walls(here, session, request.sweep, walls, response)
 
 
@@ -72,55 +80,69 @@ async def take_walls(
     """Take in a sweep's walls, and the answer."""
     limit = here.settings.max_walls
     taken = await here.run(take_sweep, here.store, session.id, session.key_id, number, walls, limit)
+    here.note_walls(session, None)
     response.headers["X-New-Entries"] = str(taken.new)
     return {"sweep": number, "walls": len(walls)}
 
 
-@router.post("/epochs", summary="Add epochs of paths", response_class=Response)
-async def epochs(request: EpochsRequest, session: SessionDep, here: ContextDep) -> Response:
+@router.post(
+    "/epochs",
+    summary="Add epochs of paths",
+    response_class=Response,
+    openapi_extra=json_content(EpochsRequest),
+)
+async def epochs(request: Request, session: SessionDep, here: ContextDep) -> Response:
     """Take in one or many consecutive epochs and answer with the state after the last.
 
     When the answer comes they are on disk. The same epochs again change nothing and are
     answered alike; another body under a known number, a gap, or a step back is a conflict
     that says what is expected next. All or none of a request is taken in.
     """
-    if len(request.epochs) > here.settings.max_epochs_per_request:
-        raise TooLargeError(
-            f"epochs: expected at most {here.settings.max_epochs_per_request} in a request, "
-            f"got {len(request.epochs)}"
-        )
-    return answer(here, session, *await here.run(_take, here, session, request))
+    body, anchors = await request.body(), await here.anchors(session)
+    task = EpochsTask(body, tuple(anchors), limits(here))
+    return await take(here, session, await here.parsed(session, body, task))
 
 
-def answer(here: Context, session: SessionAccess, taken: Taken, state: str) -> Response:
-    """The answer to epochs that were taken in; wakes those who follow the session."""
+def limits(here: Context) -> EpochLimits:
+    """How much a request may bring."""
+    given = here.settings
+    return EpochLimits(given.max_epochs_per_request, given.max_paths_per_anchor, given.max_walls)
+
+
+async def take(here: Context, session: SessionAccess, entries: Sequence[EpochEntry]) -> Response:
+    """Take in epochs; the answer to them. Wakes those who follow the session."""
+    lane = await _lane(here, session, entries)
+    work = partial(_take, here, session, entries)
+    taken, state = await here.workers.hold(lane, session.key_id, session.id, work)
+    if taken.walls is not None:
+        here.note_walls(session, taken.walls)
     here.bell.ring(session.id)
     here.metrics.epochs.inc(taken.new)
     body = f'{{"first_epoch":{taken.first},"last_epoch":{taken.last},"state":{state}}}'
     return Response(body, media_type="application/json", headers={"X-New-Entries": str(taken.new)})
 
 
-def _take(here: Context, session: SessionAccess, request: EpochsRequest) -> tuple[Taken, str]:
-    names = here.anchors(session)
-    epochs = [entry.estimator_epoch(names) for entry in request.epochs]
-    return take(here, session, epochs)
+async def _lane(here: Context, session: SessionAccess, entries: Sequence[EpochEntry]) -> Lane:
+    """Who takes epochs in, by the work that they are; raises TooLargeError if one is too much for a step."""
+    walls = await here.walls(session)
+    most = here.settings.max_step_pairs
+    for entry in entries:
+        if entry.paths * (walls + 1) > most:
+            raise TooLargeError(
+                f"epoch {entry.number}: expected at most {most} pairs of a path and a wall, got "
+                f"{entry.paths} paths beside {walls} walls; send the strongest paths"
+            )
+    pairs = sum(entry.paths * (walls + 1) for entry in entries)
+    few = len(entries) <= _FEW_EPOCHS and pairs <= here.settings.prompt_pairs
+    return Lane.STEPS if few else Lane.BULK
 
 
-def take(here: Context, session: SessionAccess, epochs: Sequence[Epoch]) -> tuple[Taken, str]:
-    """Take in epochs; what was taken, and the state after the last of them."""
-    _check_sizes(here.settings, epochs)
-    taken = take_epochs(here.store, here.pool, session.id, session.key_id, epochs)
+def _take(
+    here: Context, session: SessionAccess, entries: Sequence[EpochEntry], worker: AnyWorker
+) -> tuple[Taken, str]:
+    """Take in epochs with a worker; what was taken, and the state after the last of them."""
+    taken = take_epochs(here.store, worker, session.id, session.key_id, entries)
     if taken.state is not None:
         return taken, taken.state
     with here.store.reading() as connection:
         return taken, here.store.estimate(session.id, taken.last, connection) or "null"
-
-
-def _check_sizes(settings: Settings, epochs: Sequence[Epoch]) -> None:
-    for epoch in epochs:
-        most = max(len(paths) for paths in epoch.paths)
-        if most > settings.max_paths_per_anchor:
-            raise TooLargeError(
-                f"epoch {epoch.index}: expected at most {settings.max_paths_per_anchor} paths of an anchor, "
-                f"got {most}"
-            )

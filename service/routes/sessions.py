@@ -6,11 +6,12 @@ import json
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import Row
 
 from estimator.slam.methods import PAIRS
 from service.auth import Caller
+from service.bodies import TruthTask, json_content
 from service.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
 from service.documents import dump
 from service.errors import TooLargeError, TooManyError
@@ -84,18 +85,24 @@ async def delete(session: SessionDep, here: ContextDep) -> None:
     here.bell.ring(session.id)
 
 
-@router.put("/sessions/{session_id}/truth", status_code=204, summary="Give the truth, for comparison")
-async def put_truth(request: Truth, session: SessionDep, here: ContextDep) -> None:
+@router.put(
+    "/sessions/{session_id}/truth",
+    status_code=204,
+    summary="Give the truth, for comparison",
+    openapi_extra=json_content(Truth),
+)
+async def put_truth(request: Request, session: SessionDep, here: ContextDep) -> None:
     """Walls, anchors and track that the page draws beside the estimates; no engine sees them."""
-    await here.run(here.store.set_truth, session.id, session.key_id, request.model_dump_json())
+    body = await request.body()
+    await here.run(here.store.session, session.id, session.key_id)
+    text = await here.parsed(session, body, TruthTask(body))
+    await here.run(here.store.set_truth, session.id, session.key_id, text)
 
 
-@router.get("/sessions/{session_id}/truth", summary="Read the truth")
-async def get_truth(session: SessionDep, here: ContextDep) -> dict[str, Any] | None:
+@router.get("/sessions/{session_id}/truth", summary="Read the truth", response_class=Response)
+async def get_truth(session: SessionDep, here: ContextDep) -> Response:
     """The truth that was given, null if none was."""
-    text = await here.run(_truth, here, session)
-    truth: dict[str, Any] | None = None if text is None else json.loads(text)
-    return truth
+    return Response(await here.run(_truth, here, session) or "null", media_type="application/json")
 
 
 def _truth(here: Context, session: SessionAccess) -> str | None:

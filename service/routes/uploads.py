@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from fastapi import APIRouter, Query, Request, Response
 
 from estimator.errors import FileFormatError
 from service.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
-from service.errors import ConflictError, TooLargeError, WorkerDiedError
-from service.example import example
-from service.push import session_entry
+from service.errors import ConflictError, WorkerDiedError
+from service.example import ExampleTask
 from service.raw_channels import ChannelsTask
-from service.routes.measurements import answer, take
+from service.routes.measurements import limits, take, take_walls
 from service.routes.sessions import create_session, read
 from service.schemas import ChannelsQuery, SessionRequest
-from service.sessions import Taken, take_sweep
 from service.uploads import FileTask, Unpacked
-from service.workers import Task
+from service.worker import Task
+from service.workers import Lane
 
-__all__ = ["router"]
+__all__ = ["router", "unpacked"]
 
+T = TypeVar("T")
 router = APIRouter(prefix="/v1", tags=["files"])
 
 _FILE = {
@@ -60,13 +60,9 @@ async def channels(
         radio.array(),
         radio.orientation == "fixed",
         here.settings.max_unpacked_bytes,
+        limits(here),
     )
-    epochs = await _unpacked(here, session.id, task)
-    if len(epochs) > here.settings.max_epochs_per_request:
-        raise TooLargeError(
-            f"epoch: expected at most {here.settings.max_epochs_per_request}, got {len(epochs)}"
-        )
-    return answer(here, session, *await here.run(take, here, session, epochs))
+    return await take(here, session, await unpacked(here, session, task))
 
 
 @router.post(
@@ -78,9 +74,8 @@ async def channels(
 async def datasets(request: Request, session: SessionDep, here: ContextDep) -> Response:
     """A zipped dataset of `hapslam trace` (its channels are estimated), or a measurement file."""
     await here.run(here.store.session, session.id, session.key_id)
-    task = FileTask(await request.body(), here.settings.max_unpacked_bytes)
-    found = await _unpacked(here, session.id, task)
-    return answer(here, session, *await here.run(_take_all, here, session, found))
+    task = FileTask(await request.body(), here.settings.max_unpacked_bytes, limits(here))
+    return await _take_all(here, session, await unpacked(here, session, task))
 
 
 @router.post("/uploads", status_code=201, summary="Make a session from a file", openapi_extra=_FILE)
@@ -95,11 +90,9 @@ async def uploads(
     seed: Annotated[int, Query(ge=0, le=2**63 - 1)] = 1,
 ) -> dict[str, Any]:
     """A measurement file, or a zipped dataset: a session is made for it and takes all of it in."""
-    task = FileTask(await request.body(), here.settings.max_unpacked_bytes)
-    found = await _unpacked(here, str(seed), task)
-    entry = session_entry(found.measurements, name=name, method=method, engine=engine, seed=seed)
-    if found.truth is not None:
-        entry["start_frame"] = found.truth["start_frame"]
+    task = FileTask(await request.body(), here.settings.max_unpacked_bytes, limits(here))
+    found = await unpacked(here, SessionAccess("", who.key_id), task)
+    entry = {**found.session, "name": name, "method": method, "engine": engine, "seed": seed}
     try:
         wanted = SessionRequest.model_validate(entry)
     except ValueError as error:
@@ -107,48 +100,45 @@ async def uploads(
     session = await create_session(wanted, here, who)
     response.headers["Location"] = f"/v1/sessions/{session.id}"
     try:
-        if found.measurements.epochs:
-            await here.run(_take_all, here, session, found)
+        if found.epochs:
+            await _take_all(here, session, found)
     except Exception:
         await here.run(here.store.delete, session.id, session.key_id)
         raise
     return await read(session, here)
 
 
-@router.get("/example", summary="The shipped example")
+@router.get("/example", summary="The shipped example", response_class=Response)
 async def shipped_example(
     who: CallerDep, here: ContextDep, seed: Annotated[int, Query(ge=0, le=2**31)] = 1
-) -> dict[str, Any]:
+) -> Response:
     """A simulated walk through an L-shaped room, as the requests that send it to this service."""
-    return await here.run(example, seed)
+    return Response(
+        await here.work(Lane.BULK, SessionAccess("", who.key_id), ExampleTask(seed)),
+        media_type="application/json",
+    )
 
 
-async def _unpacked(here: Context, key: str, task: Task[Any]) -> Any:
+async def unpacked(here: Context, session: SessionAccess, task: Task[T]) -> T:
+    """What a file holds, read by a worker."""
     try:
-        return await here.run(here.pool.run, key, task)
+        return await here.work(Lane.BULK, session, task)
     except WorkerDiedError as error:
         raise FileFormatError("file: expected one that can be read, its reader crashed over it") from error
 
 
-def _take_all(here: Context, session: SessionAccess, found: Unpacked) -> tuple[Taken, str]:
+async def _take_all(here: Context, session: SessionAccess, found: Unpacked) -> Response:
     """Take a file's walls and epochs into a session whose anchors they name."""
-    row = here.store.session(session.id, session.key_id)
+    row = await here.run(here.store.session, session.id, session.key_id)
     config = json.loads(row.config)
-    measurements = found.measurements
-    for what, expected, got in (
-        ("anchors", config["anchors"], list(measurements.anchors)),
-        ("carrier_hz", config["carrier_hz"], measurements.carrier_hz),
-    ):
-        if expected != got:
-            raise ConflictError(f"{what}: expected those of the session, {expected}, got {got}")
-    if not measurements.epochs:
+    for what in ("anchors", "carrier_hz"):
+        if config[what] != found.session[what]:
+            raise ConflictError(
+                f"{what}: expected those of the session, {config[what]}, got {found.session[what]}"
+            )
+    if not found.epochs:
         raise FileFormatError("file: expected at least one epoch, got none")
-    if len(measurements.epochs) > here.settings.max_epochs_per_request:
-        raise TooLargeError(
-            f"epochs: expected at most {here.settings.max_epochs_per_request}, got {len(measurements.epochs)}"
-        )
-    limit = here.settings.max_walls
-    take_sweep(here.store, session.id, session.key_id, 0, measurements.walls, limit)
+    await take_walls(here, session, 0, list(found.walls), Response())
     if found.truth is not None:
-        here.store.set_truth(session.id, session.key_id, json.dumps(found.truth))
-    return take(here, session, measurements.epochs)
+        await here.run(here.store.set_truth, session.id, session.key_id, found.truth)
+    return await take(here, session, found.epochs)

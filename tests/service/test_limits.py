@@ -14,7 +14,7 @@ from service.app import create_app
 from service.errors import BusyError
 from service.fold import Folded, Job
 from service.settings import load_settings
-from service.workers import StepPool
+from service.worker import LocalWorker
 
 
 def _tight(database: str, **settings: Any) -> TestClient:
@@ -41,7 +41,7 @@ def test_sizes_are_limited(
         many["epochs"][0]["anchors"]["pa1"] = {"delay_s": [1e-7] * 31, "delay_std_s": [1e-10] * 31}
         assert client.post(f"{url}/epochs", json=many).status_code == 413
         for body, got in ((b"[" * 20_001, "20001"), (iter([b"[" * 15_000] * 2), "more")):
-            answer = client.post(f"{url}/epochs", content=body)
+            answer = client.post(f"{url}/epochs", content=body, headers={"Content-Type": "application/json"})
             assert answer.status_code == 413
             assert answer.headers["content-type"] == "application/problem+json"
             assert answer.json()["detail"] == f"body: expected at most 20000 bytes, got {got}"
@@ -165,11 +165,11 @@ def test_a_full_queue_is_told_to_come_again(
 ) -> None:
     """429 with Retry-After, nothing taken in, and the same request is fine later."""
 
-    def busy(self: StepPool, job: Job) -> Folded:
+    def busy(self: LocalWorker, job: Job) -> Folded:
         raise BusyError("expected a free worker, 64 requests wait already")
 
     with monkeypatch.context() as patch:
-        patch.setattr(StepPool, "fold", busy)
+        patch.setattr(LocalWorker, "fold", busy)
         answer = post_epochs(session_url, 0, 3)
     assert answer.status_code == 429
     assert answer.headers["Retry-After"] == "1"
@@ -181,10 +181,10 @@ def test_bugs_show_no_traceback(
 ) -> None:
     """What no one foresaw is a plain 500; the details are in the log."""
 
-    def broken(self: StepPool, job: Job) -> Folded:
+    def broken(self: LocalWorker, job: Job) -> Folded:
         raise ZeroDivisionError("secret detail")
 
-    monkeypatch.setattr(StepPool, "fold", broken)
+    monkeypatch.setattr(LocalWorker, "fold", broken)
     answer = post_epochs(session_url, 0, 1)
     assert answer.status_code == 500
     assert "secret" not in answer.text

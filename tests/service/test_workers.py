@@ -1,77 +1,56 @@
-"""The processes that step sessions: how many may wait, how long a task may take, what a crash costs."""
+"""The processes that do the work: how long a task may take, how much memory, what a crash costs."""
 
 from __future__ import annotations
 
 import os
-import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
 
 from service.app import create_app
-from service.errors import BusyError, StepTimeoutError, WorkerDiedError
-from service.fold import Folded, Job, StateCache
+from service.errors import StepTooLargeError, StepTooLongError, WorkerDiedError
+from service.fold import Folded, Job
 from service.settings import load_settings
-from service.workers import StepPool
+from service.worker import LocalWorker, Worker, WorkerSetup
+from tests.service.tasks import Crash, Hoard, Nap, Spin
 
 
-@dataclass(frozen=True)
-class Nap:
-    """Takes its time, and says in which process."""
-
-    seconds: float
-
-    def run(self, cache: StateCache) -> int:
-        """Sleep."""
-        del cache
-        time.sleep(self.seconds)
-        return os.getpid()
+@pytest.fixture
+def worker() -> Iterator[Worker]:
+    """A process with 300 MiB, five seconds for a task and one of them for a step."""
+    worker = Worker(WorkerSetup(most_bytes=300 * 2**20, step_limit_s=1.0, task_limit_s=5.0))
+    worker.start()
+    try:
+        yield worker
+    finally:
+        worker.stop()
 
 
-@dataclass(frozen=True)
-class Crash:
-    """Takes its process along."""
-
-    def run(self, cache: StateCache) -> int:
-        """End the process."""
-        del cache
-        os._exit(3)
-
-
-def test_as_many_wait_as_may() -> None:
-    """One in work and one that waits; a third is refused at once, and served when both are done."""
-    with StepPool(workers=1, max_waiting=1, timeout_s=30.0) as pool:
-        worker = pool.run("a", Nap(0.0))
-        assert worker != os.getpid()
-        threads = [threading.Thread(target=pool.run, args=("a", Nap(0.6))) for _ in range(2)]
-        for thread in threads:
-            thread.start()
-        while pool.waiting < 2:
-            time.sleep(0.01)
-        begin = time.perf_counter()
-        with pytest.raises(BusyError, match="expected a free worker, 2 requests wait already"):
-            pool.run("b", Nap(0.0))
-        assert time.perf_counter() - begin < 0.5
-        for thread in threads:
-            thread.join()
-        assert pool.run("b", Nap(0.0)) == worker
-        assert pool.waiting == 0
+def test_what_exceeds_a_limit_is_replaced(worker: Worker) -> None:
+    """Too long, too large, a crash: each is told for what it is, and the next finds a new process."""
+    seen = {worker.do(Nap(0.0))}
+    with pytest.raises(StepTooLongError, match="work of at most 5 s"):
+        worker.do(Nap(60.0))
+    seen.add(worker.do(Nap(0.0)))
+    with pytest.raises(StepTooLongError, match=r"epoch 7 .*90 paths.: expected a step of at most 1 s"):
+        worker.do(Spin(60.0))
+    seen.add(worker.do(Nap(0.0)))
+    with pytest.raises(StepTooLargeError, match=r"epoch 8 .*: expected work in 300 MiB of memory"):
+        worker.do(Hoard(1000))
+    seen.add(worker.do(Nap(0.0)))
+    with pytest.raises(WorkerDiedError, match="nothing was taken in"):
+        worker.do(Crash())
+    seen.add(worker.do(Nap(0.0)))
+    assert len(seen) == 5
+    assert os.getpid() not in seen
 
 
-def test_what_takes_too_long_or_crashes_is_replaced() -> None:
-    """A task past its time and one that ends the process are told of; the next finds a new worker."""
-    with StepPool(workers=1, max_waiting=1, timeout_s=5.0) as pool:
-        first = pool.run("a", Nap(0.0))
-        with pytest.raises(StepTimeoutError, match="at most 5 s"):
-            pool.run("a", Nap(60.0))
-        second = pool.run("a", Nap(0.0))
-        with pytest.raises(WorkerDiedError, match="nothing was taken in"):
-            pool.run("a", Crash())
-        assert len({first, second, pool.run("a", Nap(0.0))}) == 3
+def test_a_step_that_waits_for_the_processor_is_not_too_long(worker: Worker) -> None:
+    """What counts is processor time: on a busy machine a step is not given up for others' work."""
+    assert worker.do(Nap(2.0, step="epoch 0"))
 
 
 def test_an_answer_comes_in_time(
@@ -83,9 +62,9 @@ def test_an_answer_comes_in_time(
 ) -> None:
     """Where the work takes longer than a request may, 504 at that time; the same again is fine later."""
     settings = load_settings(database_url=database, workers=0, request_timeout_s=1.0)
-    fold = StepPool.fold
+    fold = LocalWorker.fold
 
-    def slow(self: StepPool, job: Job) -> Folded:
+    def slow(self: LocalWorker, job: Job) -> Folded:
         time.sleep(2.0)
         return fold(self, job)
 
@@ -93,7 +72,7 @@ def test_an_answer_comes_in_time(
         url = client.post("/v1/sessions", json=make_request()).headers["Location"]
         client.post(f"{url}/sweeps", json=sweep_request())
         with monkeypatch.context() as patch:
-            patch.setattr(StepPool, "fold", slow)
+            patch.setattr(LocalWorker, "fold", slow)
             begin = time.perf_counter()
             late = client.post(f"{url}/epochs", json=epochs_request(0, 3))
             assert time.perf_counter() - begin < 1.9
