@@ -84,7 +84,7 @@ def draw_map(result: SlamResult, truth: xr.Dataset | None = None, title: str | N
         picture.draw(upper)
         _draw_errors(lower, result, known)
         heading = title or f"{result.method} SLAM, {result.engine} engine"
-        upper.set_title(heading, loc="left", fontsize=12.0, fontweight="bold", pad=10.0)
+        upper.set_title(heading, loc="left", fontsize=12.0, fontweight="bold", pad=10.0, parse_math=False)
         figure.draw_without_rendering()  # lays out while the style holds
     return figure
 
@@ -227,6 +227,7 @@ class _Map:
                 textcoords="offset points",
                 ha="center",
                 color=ANCHOR,
+                parse_math=False,  # a name is text
             )
         label = f"{_SIGMAS:g} standard deviations" + (f", x {self.enlarged}" if self.enlarged > 1 else "")
         axes.add_patch(Ellipse((np.nan, np.nan), 1, 1, facecolor=MUTED, alpha=0.3, label=label))

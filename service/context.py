@@ -16,6 +16,7 @@ from fastapi import Depends, Request
 from sqlalchemy import Engine
 
 from service.auth import Caller, KeyRing
+from service.pace import Pace
 from service.pictures import PictureCache
 from service.readiness import Readiness
 from service.settings import Settings
@@ -91,6 +92,8 @@ class Context:
         Maps that were drawn.
     readiness : Readiness
         Whether the database answers.
+    pace : Pace
+        How long sessions' epochs take.
     draining : bool
         Whether the server is about to stop: streams end, ``/readyz`` says no.
     """
@@ -103,6 +106,7 @@ class Context:
     bell: Bell = field(default_factory=Bell)
     pictures: PictureCache = field(default_factory=PictureCache)
     readiness: Readiness = field(default_factory=Readiness)
+    pace: Pace = field(default_factory=Pace)
     draining: bool = False
     _loop: asyncio.AbstractEventLoop | None = None
     _threads: anyio.CapacityLimiter = field(init=False)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -26,7 +27,17 @@ from service.documents import dump, estimate_document, read_epoch, read_sweep
 if TYPE_CHECKING:
     from service.worker import TaskContext
 
-__all__ = ["Folded", "ForgottenError", "Job", "StateCache", "digest", "engine_of", "fold", "measurement_set"]
+__all__ = [
+    "Folded",
+    "ForgottenError",
+    "Job",
+    "NotPromptError",
+    "StateCache",
+    "digest",
+    "engine_of",
+    "fold",
+    "measurement_set",
+]
 
 _LARGEST_COUNT = 2_000  # of hypotheses, epochs and so on: what a noise model may ask for
 
@@ -50,6 +61,8 @@ class Job:
         The epochs that follow, as in the log.
     remembered : bytes, optional
         Digest of the snapshot to start from, instead of the snapshot.
+    prompt_s : float, optional
+        Time after which it is given up if more than one epoch is left; by default it is finished.
     """
 
     session_id: str
@@ -58,6 +71,7 @@ class Job:
     snapshot: bytes | None
     epochs: tuple[str, ...]
     remembered: bytes | None = None
+    prompt_s: float | None = None
 
     def run(self, context: TaskContext) -> Folded:
         """Fold it; see :func:`fold`."""
@@ -85,6 +99,10 @@ class Folded:
 
 class ForgottenError(Exception):
     """The worker does not remember the state; it needs the snapshot."""
+
+
+class NotPromptError(Exception):
+    """The job takes longer than was thought; another worker should do it."""
 
 
 class StateCache:
@@ -173,6 +191,8 @@ def fold(
         If the snapshot is damaged, or of another version of the engine.
     ForgottenError
         If the state to start from is given by its digest and not in the cache.
+    NotPromptError
+        If it takes longer than ``job.prompt_s``.
     """
     config, engine = _configured(job.config)
     state = None if job.snapshot is None else _loaded(engine, job.snapshot)
@@ -180,12 +200,15 @@ def fold(
         state = cache.get(job.session_id, job.remembered) if cache is not None else None
         if state is None:
             raise ForgottenError
-    rows = []
+    rows: list[dict[str, Any]] = []
+    begin = time.monotonic()
     try:
         if state is None:
             walls = [wall for sweep in job.sweeps for wall in read_sweep(sweep)]
             state = engine.start(Prior.of(measurement_set(config, walls)), epoch_rng(config["seed"], -1))
         for text in job.epochs:
+            if rows and job.prompt_s is not None and time.monotonic() - begin > job.prompt_s:
+                raise NotPromptError
             epoch = read_epoch(text)
             begin_step(_described(epoch))
             state = engine.step(state, epoch, epoch_rng(config["seed"], epoch.index))

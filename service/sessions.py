@@ -22,7 +22,7 @@ from estimator.measurements import GaussianVrp
 from service.documents import sweep_text
 from service.entries import EpochEntry
 from service.errors import BusyError, ConflictError, TooLargeError
-from service.fold import Folded, ForgottenError, Job, digest
+from service.fold import Folded, ForgottenError, Job, NotPromptError, digest
 from service.store import RevisionError, Step, Store
 
 __all__ = ["Taken", "new_session_id", "take_epochs", "take_sweep"]
@@ -68,7 +68,12 @@ def new_session_id() -> str:
 
 
 def take_epochs(
-    store: Store, pool: Folder, session_id: str, key_id: str | None, epochs: Sequence[EpochEntry]
+    store: Store,
+    pool: Folder,
+    session_id: str,
+    key_id: str | None,
+    epochs: Sequence[EpochEntry],
+    prompt_s: float | None = None,
 ) -> Taken:
     """Take epochs into a session; when this returns they are on disk.
 
@@ -80,6 +85,8 @@ def take_epochs(
         The session, and the key it must belong to.
     epochs : sequence of EpochEntry
         Consecutive epochs, anchors in the session's order.
+    prompt_s : float, optional
+        Time after which the work is given up, to be done where it keeps nobody waiting.
 
     Raises
     ------
@@ -91,6 +98,8 @@ def take_epochs(
         If the engine cannot take it.
     BusyError
         If too much is going on.
+    NotPromptError
+        If it takes longer than ``prompt_s``.
     """
     entries = [(epoch.number, epoch.body) for epoch in epochs]
     _consecutive("epoch", [number for number, _ in entries])
@@ -105,7 +114,7 @@ def take_epochs(
                     for epoch in epochs[-len(new) :]:
                         _later(epoch, known_time)
                         known_time = epoch.time_s
-                    folded = _advance(step, pool, tuple(body for _, body in new))
+                    folded = _advance(step, pool, tuple(body for _, body in new), prompt_s)
                     step.commit("epoch", new, folded, epochs[-1].time_s)
                     state, walls = (folded.estimates[-1][name] for name in ("document", "walls"))
                 return Taken(first, last, len(new), state, walls)
@@ -156,25 +165,27 @@ def take_sweep(
     raise BusyError("expected a free moment of the session, other requests keep changing it")
 
 
-def _advance(step: Step, pool: Folder, epochs: tuple[str, ...]) -> Folded:
+def _advance(step: Step, pool: Folder, epochs: tuple[str, ...], prompt_s: float | None) -> Folded:
     """Fold new epochs on top of the snapshot; a damaged snapshot is computed anew from the log."""
     row = step.row
     if row.next_epoch == 0:
-        return pool.fold(Job(row.id, row.config, _sweeps(step), None, epochs))
+        return pool.fold(Job(row.id, row.config, _sweeps(step), None, epochs, prompt_s=prompt_s))
     known = step.digest()
     if known is not None:
         try:
-            return pool.fold(Job(row.id, row.config, (), None, epochs, known))
+            return pool.fold(Job(row.id, row.config, (), None, epochs, known, prompt_s))
         except ForgottenError:
             pass  # the worker is new, or has had too many other sessions
     kept = step.snapshot()
     if kept is not None and digest(kept[0]) == kept[1]:
         try:
-            return pool.fold(Job(row.id, row.config, (), kept[0], epochs))
+            return pool.fold(Job(row.id, row.config, (), kept[0], epochs, None, prompt_s))
         except FileFormatError as error:
             reason = str(error)
     else:
         reason = "missing" if kept is None else "its digest differs"
+    if prompt_s is not None and row.next_epoch > _REBUILT_AT_ONCE:
+        raise NotPromptError
     structlog.get_logger().warning("snapshot damaged, rebuilt from the log", session=row.id, reason=reason)
     return pool.fold(Job(row.id, row.config, (), _rebuilt(step, pool), epochs))
 

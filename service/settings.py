@@ -51,8 +51,8 @@ class Settings(BaseSettings):
         Time of all the work of a request; what takes longer is answered 422.
     max_step_pairs : int
         Paths of an epoch times the walls of its session and one: the engine's work and memory grow with it.
-    prompt_pairs : int
-        Of a whole request; what has more is done by the workers for what is large.
+    prompt_s : float
+        Epochs that take longer, as far as that can be told, are taken in by the bulk workers.
     max_body_bytes, max_json_bytes, max_small_json_bytes : int
         Largest body: of a file, of epochs and a truth as JSON, of any other JSON.
     max_bodies_bytes : int
@@ -92,7 +92,7 @@ class Settings(BaseSettings):
     step_timeout_s: Seconds = 10.0
     work_timeout_s: Seconds = 90.0
     max_step_pairs: Count = 20_000
-    prompt_pairs: Count = 20_000
+    prompt_s: Seconds = 0.5
     max_smoothed_epochs: Count = 10_000
     max_body_bytes: Count = 64 * 2**20
     max_json_bytes: Count = 16 * 2**20

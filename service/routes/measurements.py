@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from functools import partial
+from contextlib import suppress
 
 from fastapi import APIRouter, Request, Response
 
@@ -14,13 +15,12 @@ from service.context import Context, ContextDep, SessionAccess, SessionDep
 from service.entries import EpochEntry, EpochLimits
 from service.epoch_schemas import EpochsRequest
 from service.errors import TooLargeError
+from service.fold import NotPromptError
 from service.schemas import SweepRequest
 from service.sessions import Taken, take_epochs, take_sweep
 from service.workers import AnyWorker, Lane
 
 __all__ = ["BINARY_SWEEP", "limits", "router", "take", "take_walls"]
-
-_FEW_EPOCHS = 100  # that a worker for steps takes at once: some tenths of a second
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["measurements"])
 
@@ -111,9 +111,13 @@ def limits(here: Context) -> EpochLimits:
 
 async def take(here: Context, session: SessionAccess, entries: Sequence[EpochEntry]) -> Response:
     """Take in epochs; the answer to them. Wakes those who follow the session."""
-    lane = await _lane(here, session, entries)
-    work = partial(_take, here, session, entries)
-    taken, state = await here.workers.hold(lane, session.key_id, session.id, work)
+    pairs, prompt_s = await _pairs(here, session, entries), here.settings.prompt_s
+    found = None
+    if here.pace.expected_s(session.id, pairs) <= prompt_s:
+        with suppress(NotPromptError):
+            found = await _taken(here, session, entries, prompt_s)
+    taken, state, seconds = found or await _taken(here, session, entries, None)
+    here.pace.note(session.id, pairs, seconds)
     if taken.walls is not None:
         here.note_walls(session, taken.walls)
     here.bell.ring(session.id)
@@ -122,27 +126,31 @@ async def take(here: Context, session: SessionAccess, entries: Sequence[EpochEnt
     return Response(body, media_type="application/json", headers={"X-New-Entries": str(taken.new)})
 
 
-async def _lane(here: Context, session: SessionAccess, entries: Sequence[EpochEntry]) -> Lane:
-    """Who takes epochs in, by the work that they are; raises TooLargeError if one is too much for a step."""
-    walls = await here.walls(session)
-    most = here.settings.max_step_pairs
+async def _pairs(here: Context, session: SessionAccess, entries: Sequence[EpochEntry]) -> int:
+    """Pairs of a path and a wall in all epochs; raises TooLargeError if one is too much for a step."""
+    walls, most = await here.walls(session) + 1, here.settings.max_step_pairs
     for entry in entries:
-        if entry.paths * (walls + 1) > most:
+        if entry.paths * walls > most:
             raise TooLargeError(
                 f"epoch {entry.number}: expected at most {most} pairs of a path and a wall, got "
-                f"{entry.paths} paths beside {walls} walls; send the strongest paths"
+                f"{entry.paths} paths beside {walls - 1} walls; send the strongest paths"
             )
-    pairs = sum(entry.paths * (walls + 1) for entry in entries)
-    few = len(entries) <= _FEW_EPOCHS and pairs <= here.settings.prompt_pairs
-    return Lane.STEPS if few else Lane.BULK
+    return sum(entry.paths * walls for entry in entries)
 
 
-def _take(
-    here: Context, session: SessionAccess, entries: Sequence[EpochEntry], worker: AnyWorker
-) -> tuple[Taken, str]:
-    """Take in epochs with a worker; what was taken, and the state after the last of them."""
-    taken = take_epochs(here.store, worker, session.id, session.key_id, entries)
-    if taken.state is not None:
-        return taken, taken.state
-    with here.store.reading() as connection:
-        return taken, here.store.estimate(session.id, taken.last, connection) or "null"
+async def _taken(
+    here: Context, session: SessionAccess, entries: Sequence[EpochEntry], prompt_s: float | None
+) -> tuple[Taken, str, float]:
+    """Take in epochs, promptly or where it may take long: what was taken, the state, seconds of work."""
+
+    def work(worker: AnyWorker) -> tuple[Taken, str, float]:
+        begin = time.monotonic()
+        taken = take_epochs(here.store, worker, session.id, session.key_id, entries, prompt_s)
+        state = taken.state
+        if state is None:
+            with here.store.reading() as connection:
+                state = here.store.estimate(session.id, taken.last, connection) or "null"
+        return taken, state, time.monotonic() - begin
+
+    lane = Lane.BULK if prompt_s is None else Lane.STEPS
+    return await here.workers.hold(lane, session.key_id, session.id, work)
