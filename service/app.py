@@ -18,7 +18,7 @@ from service.database import opened
 from service.epoch_schemas import EpochsRequest
 from service.middleware import RequestMiddleware
 from service.routes import echoes, events, health, measurements, pages, sessions, state, uploads
-from service.schemas import Truth
+from service.schemas import SessionRequest, SweepRequest, Truth
 from service.settings import Settings
 from service.telemetry import Metrics
 
@@ -31,6 +31,9 @@ Measurements in, SLAM state out. Make a session, post the walls sensed at the st
 Positions are metres in the estimator's frame (origin: where the agent started; axes: those of its
 arrays there) unless the session states its start frame. Errors are problem documents (RFC 9457).
 """
+
+
+_BODIES = (SessionRequest, SweepRequest, EpochsRequest, Truth)
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -90,7 +93,7 @@ class _Description:
                 description=self._app.description,
                 routes=self._app.routes,
             )
-            models = [(model, "validation") for model in (EpochsRequest, Truth)]
+            models = [(model, "validation") for model in _BODIES]
             _, found = models_json_schema(models, ref_template="#/components/schemas/{model}")  # type: ignore[arg-type]
             document["components"]["schemas"] |= found["$defs"]
             self._document = document

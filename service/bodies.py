@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import pydantic
 from pydantic import BaseModel
@@ -12,11 +12,10 @@ from pydantic import BaseModel
 from service.entries import EpochEntry, EpochLimits, entries_of
 from service.epoch_schemas import EpochsRequest
 from service.errors import ValidationError
-from service.schemas import Truth
 from service.violations import violations
 from service.worker import TaskContext
 
-__all__ = ["EpochsTask", "TruthTask", "json_content", "parsed"]
+__all__ = ["EpochsTask", "ParseTask", "json_content", "parsed"]
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -85,24 +84,30 @@ class EpochsTask:
 
 
 @dataclass(frozen=True)
-class TruthTask:
-    """A truth, checked.
+class ParseTask(Generic[Model]):
+    """A body as a model.
 
     Parameters
     ----------
+    model : type
+        The model.
     body : bytes
         The request's body.
     """
 
+    model: type[Model]
     body: bytes
 
-    def run(self, context: TaskContext) -> str:
-        """The text to keep; raises ValidationError."""
+    def run(self, context: TaskContext) -> Model:
+        """Parse; raises ValidationError."""
         del context
-        return parsed(Truth, self.body).model_dump_json()
+        return parsed(self.model, self.body)
 
 
-def json_content(model: type[BaseModel]) -> dict[str, Any]:
-    """What the interface's description says of a body that a route parses itself."""
+def json_content(model: type[BaseModel], binary: bool = False) -> dict[str, Any]:
+    """What the interface's description says of a body that a route parses itself, or takes as a file too."""
     schema = {"$ref": f"#/components/schemas/{model.__name__}"}
-    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
+    content: dict[str, Any] = {"application/json": {"schema": schema}}
+    if binary:
+        content["application/octet-stream"] = {"schema": {"type": "string", "format": "binary"}}
+    return {"requestBody": {"required": True, "content": content}}

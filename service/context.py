@@ -30,7 +30,7 @@ __all__ = ["Bell", "CallerDep", "Context", "ContextDep", "SessionAccess", "Sessi
 _REMEMBERED = 1000  # sessions whose anchors are kept in mind
 _THREADS = 32  # that wait for the database
 _DOORS = 8  # that look up keys: whoever else waits, a request is let in or refused
-_AT_ONCE_BYTES = 16 * 2**10  # of JSON: about a millisecond
+_AT_ONCE_BYTES = 4 * 2**10  # of JSON: some milliseconds, even if everything in it is wrong
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -154,7 +154,7 @@ class Context:
         return await self.workers.run(lane, session.key_id, session.id, task)
 
     async def parsed(self, session: SessionAccess, body: bytes, task: Task[T]) -> T:
-        """Have a body parsed: here if that is done at once, by a worker if not."""
+        """Have a body parsed: here if that is done at once, by a worker if not; raises ValidationError."""
         if len(body) <= _AT_ONCE_BYTES:
             return task.run(TaskContext())
         return await self.work(Lane.BULK, session, task)

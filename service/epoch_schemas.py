@@ -70,4 +70,4 @@ class EpochsRequest(Request):
         }
     )
 
-    epochs: Annotated[list[AnyEpoch], Field(min_length=1, max_length=100_000)]
+    epochs: Annotated[list[AnyEpoch], Field(fail_fast=True, min_length=1, max_length=100_000)]

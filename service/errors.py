@@ -95,6 +95,6 @@ class WorkerDiedError(ServiceError):
 class ValidationError(ServiceError):
     """A body is not what was expected; ``found`` says where, what was expected and what came."""
 
-    def __init__(self, message: str, found: list[dict[str, str]]) -> None:
-        super().__init__(message)
-        self.found = found
+    def __init__(self, message: str, found: list[dict[str, str]] | None = None) -> None:
+        super().__init__(message)  # what else there is travels between processes with the state
+        self.found = found or []

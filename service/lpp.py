@@ -70,7 +70,7 @@ class TrpMeasurement(Request):
     timingQuality: TimingQuality
     rsrpp_dbm: Finite | None = None
     eirp_dbm: Finite | None = Field(None, description="With it, powers become channel gains.")
-    additionalPathList: Annotated[list[AdditionalPath], Field(max_length=10_000)] = Field(
+    additionalPathList: Annotated[list[AdditionalPath], Field(fail_fast=True, max_length=10_000)] = Field(
         default_factory=list
     )
 
@@ -131,7 +131,7 @@ class LppEpoch(Request):
 
     epoch: Number
     timeStamp: TimeStamp
-    trpMeasurementList: Annotated[list[TrpMeasurement], Field(max_length=1000)]
+    trpMeasurementList: Annotated[list[TrpMeasurement], Field(fail_fast=True, max_length=1000)]
 
     def estimator_epoch(self, names: list[str]) -> Epoch:
         """The epoch in the estimator's terms.

@@ -43,8 +43,8 @@ Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1
 Integer = Annotated[int, BeforeValidator(_number)]
 Number = Annotated[Integer, Field(ge=0, le=2**31 - 2)]
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
-Pair = Annotated[list[Finite], Field(min_length=2, max_length=2)]
-Matrix = Annotated[list[Pair], Field(min_length=2, max_length=2)]
+Pair = Annotated[list[Finite], Field(fail_fast=True, min_length=2, max_length=2)]
+Matrix = Annotated[list[Pair], Field(fail_fast=True, min_length=2, max_length=2)]
 
 
 class Request(BaseModel):
@@ -83,12 +83,12 @@ class SessionRequest(Request):
     method: Annotated[str, Field(max_length=50, json_schema_extra={"enum": list(METHODS)})] = "hybrid"
     engine: Annotated[str, Field(max_length=50, json_schema_extra={"enum": list(ENGINES)})] = "gaussian"
     seed: Annotated[Integer, Field(ge=0, le=2**63 - 1)] = 0
-    anchors: Annotated[list[Name], Field(min_length=1, max_length=1000)]
+    anchors: Annotated[list[Name], Field(fail_fast=True, min_length=1, max_length=1000)]
     carrier_hz: Positive
     measurement_model: Annotated[
         dict[Annotated[str, Field(max_length=100)], int | Finite], Field(max_length=100)
     ] = Field(default_factory=dict, description="Fields of the engine's configuration; the rest is default.")
-    known_anchors_m: Annotated[list[Pair], Field(max_length=1000)] | None = Field(
+    known_anchors_m: Annotated[list[Pair], Field(fail_fast=True, max_length=1000)] | None = Field(
         None, description="The anchors' places in the estimator's frame, for methods that know them."
     )
     start_frame: StartFrame | None = None
@@ -163,9 +163,9 @@ class SweepRequest(Request):
     )
 
     sweep: Number = 0
-    walls: Annotated[list[Wall], Field(max_length=1000)] = Field(default_factory=list)
-    flashes: Annotated[list[Flash], Field(max_length=1000)] = Field(default_factory=list)
-    points: Annotated[list[ReflectionPoint], Field(max_length=720)] = Field(
+    walls: Annotated[list[Wall], Field(fail_fast=True, max_length=1000)] = Field(default_factory=list)
+    flashes: Annotated[list[Flash], Field(fail_fast=True, max_length=1000)] = Field(default_factory=list)
+    points: Annotated[list[ReflectionPoint], Field(fail_fast=True, max_length=720)] = Field(
         default_factory=list,
         description="One a beam; walls are sought among them, and lines fitted through them.",
     )
@@ -178,12 +178,12 @@ class SweepRequest(Request):
 class Paths(Request):
     """The paths that one anchor was heard on: times of flight, their spread, gains, directions of arrival."""
 
-    delay_s: Annotated[list[Positive], Field(max_length=10_000)]
-    delay_std_s: Annotated[list[Positive], Field(max_length=10_000)] | None = None
-    delay_variance_s2: Annotated[list[Positive], Field(max_length=10_000)] | None = None
-    gain_db: Annotated[list[Finite], Field(max_length=10_000)] | None = None
-    azimuth_rad: Annotated[list[Finite], Field(max_length=10_000)] | None = None
-    azimuth_std_rad: Annotated[list[Positive], Field(max_length=10_000)] | None = None
+    delay_s: Annotated[list[Positive], Field(fail_fast=True, max_length=10_000)]
+    delay_std_s: Annotated[list[Positive], Field(fail_fast=True, max_length=10_000)] | None = None
+    delay_variance_s2: Annotated[list[Positive], Field(fail_fast=True, max_length=10_000)] | None = None
+    gain_db: Annotated[list[Finite], Field(fail_fast=True, max_length=10_000)] | None = None
+    azimuth_rad: Annotated[list[Finite], Field(fail_fast=True, max_length=10_000)] | None = None
+    azimuth_std_rad: Annotated[list[Positive], Field(fail_fast=True, max_length=10_000)] | None = None
 
     @model_validator(mode="after")
     def _one_spread(self) -> Paths:
@@ -206,7 +206,7 @@ class SiEpoch(Request):
     epoch: Number
     time_s: Finite
     anchors: Annotated[dict[Name, Paths], Field(max_length=1000)]
-    sweep: Annotated[list[Wall], Field(max_length=1000)] = Field(
+    sweep: Annotated[list[Wall], Field(fail_fast=True, max_length=1000)] = Field(
         default_factory=list, description="Walls that a beam sweep at this epoch saw, relative to the agent."
     )
     heading_held: bool = Field(
@@ -283,7 +283,7 @@ class Truth(Request):
     """The truth, for comparison on the page alone; in the estimator's frame, or in the start frame's."""
 
     frame: Literal["estimator", "plan"] = "plan"
-    walls: Annotated[list[TruthWall], Field(max_length=10_000)] = Field(default_factory=list)
-    anchors_m: Annotated[list[Pair], Field(max_length=1000)] = Field(default_factory=list)
-    track_m: Annotated[list[Pair], Field(max_length=200_000)] = Field(default_factory=list)
+    walls: Annotated[list[TruthWall], Field(fail_fast=True, max_length=10_000)] = Field(default_factory=list)
+    anchors_m: Annotated[list[Pair], Field(fail_fast=True, max_length=1000)] = Field(default_factory=list)
+    track_m: Annotated[list[Pair], Field(fail_fast=True, max_length=200_000)] = Field(default_factory=list)
     start_frame: StartFrame | None = None

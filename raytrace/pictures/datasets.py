@@ -115,7 +115,8 @@ def draw_delay_profile(dataset: Dataset) -> Figure:
                 shading="nearest",
                 rasterized=True,
             )
-            axes.set_title(f"{dataset.manifest['name']}: {name}", loc="left", fontweight="bold")
+            heading = f"{dataset.manifest['name']}: {name}"
+            axes.set_title(heading, loc="left", fontweight="bold", parse_math=False)
             axes.set_ylabel("path length, m")
             axes.tick_params(length=0)
         panels[-1].set_xlabel("epoch")
@@ -152,7 +153,7 @@ def draw_range_angle(dataset: Dataset, sweep: int = 0) -> Figure:
         axes.set(aspect="equal", xlabel="along the heading, m", ylabel="to the left, m")
         axes.tick_params(length=0)
         title = f"{dataset.manifest['name']}: echo of sweep {sweep}"
-        axes.set_title(title, loc="left", fontweight="bold")
+        axes.set_title(title, loc="left", fontweight="bold", parse_math=False)
         figure.colorbar(image, ax=axes, label="two-way gain with beams, dB", shrink=0.8)
         figure.draw_without_rendering()
     return figure

@@ -251,7 +251,7 @@ def _canvas(plan: FloorPlan, title: str) -> tuple[Figure, Axes]:
     axes.set(aspect="equal", xlabel="x, m", ylabel="y, m", axisbelow=True)
     axes.grid(color=COLOURS["grid"], linewidth=0.8)
     axes.tick_params(length=0)
-    axes.set_title(title, loc="left", fontsize=12.0, fontweight="bold", pad=10.0)
+    axes.set_title(title, loc="left", fontsize=12.0, fontweight="bold", pad=10.0, parse_math=False)
     return figure, axes
 
 
@@ -294,6 +294,7 @@ def _draw_stations(axes: Axes, plan: FloorPlan, track: bool = True) -> None:
             ha="center",
             color=COLOURS["anchor"],
             zorder=6,
+            parse_math=False,  # a name is text
             path_effects=[withStroke(linewidth=3.0, foreground="white", alpha=0.8)],
         )
 

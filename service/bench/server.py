@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 from estimator.errors import HapslamError
 
-__all__ = ["MeasuredServer", "running"]
+__all__ = ["MeasuredServer", "resident_mib", "running"]
 
 _START_S = 30.0
 
@@ -39,7 +39,7 @@ class MeasuredServer:
 
     def memory_mib(self) -> float:
         """Resident memory of all its processes, MiB; 0 where the system does not tell."""
-        return _resident_mib(self.pid)
+        return sum(resident_mib(self.pid).values())
 
 
 @contextmanager
@@ -86,17 +86,23 @@ def _wait(port: int, server: subprocess.Popen[bytes]) -> None:
     raise HapslamError("expected the server to start, it did not")
 
 
-def _resident_mib(pid: int) -> float:
-    """Resident memory of a process and its children, whichever thread began them."""
+def resident_mib(pid: int) -> dict[int, float]:
+    """Resident memory of a process and its children, whichever thread began them, MiB by process."""
     process = Path("/proc") / str(pid)
     try:
         status = (process / "status").read_text()
         children = [child for task in (process / "task").iterdir() for child in _children(task)]
     except OSError:
-        return 0.0
+        return {pid: 0.0}
     own = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0)
-    return own / 1024 + sum(_resident_mib(child) for child in children)
+    found = {pid: own / 1024}
+    for child in children:
+        found |= resident_mib(child)
+    return found
 
 
 def _children(task: Path) -> list[int]:
-    return [int(child) for child in (task / "children").read_text().split()]
+    try:
+        return [int(child) for child in (task / "children").read_text().split()]
+    except OSError:  # the thread has ended
+        return []

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Request, Response
 
 from estimator.measurements import GaussianVrp
 from service.beam_sweeps import PointsTask
-from service.bodies import EpochsTask, json_content
+from service.bodies import EpochsTask, ParseTask, json_content
 from service.context import Context, ContextDep, SessionAccess, SessionDep
 from service.entries import EpochEntry, EpochLimits
 from service.epoch_schemas import EpochsRequest
@@ -20,7 +20,7 @@ from service.schemas import SweepRequest
 from service.sessions import Taken, take_epochs, take_sweep
 from service.workers import AnyWorker, Lane
 
-__all__ = ["BINARY_SWEEP", "limits", "router", "take", "take_walls"]
+__all__ = ["limits", "router", "take", "take_walls"]
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["measurements"])
 
@@ -35,10 +35,8 @@ _ECHO_QUERY: dict[str, dict[str, object]] = {
     "heading_rad": {"type": "number", "minimum": -1e9, "maximum": 1e9, "default": 0},
     "model": {"type": "string", "enum": ["flash", "beams"], "default": "flash"},
 }
-BINARY_SWEEP = {
-    "requestBody": {
-        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
-    },
+_SWEEP = {
+    **json_content(SweepRequest, binary=True),
     "parameters": [
         {
             "name": name,
@@ -52,9 +50,9 @@ BINARY_SWEEP = {
 }
 
 
-@router.post("/sweeps", summary="Add walls sensed at the start", openapi_extra=BINARY_SWEEP)
+@router.post("/sweeps", summary="Add walls sensed at the start", openapi_extra=_SWEEP)
 async def sweeps(
-    request: SweepRequest, session: SessionDep, here: ContextDep, response: Response
+    request: Request, session: SessionDep, here: ContextDep, response: Response
 ) -> dict[str, int]:
     """Walls, flashes or reflection points of one sweep of active sensing; all sweeps come before epoch 0.
 
@@ -63,15 +61,17 @@ async def sweeps(
     beam, tone), `tone_offset_hz` and `sweep_epoch`, as `hapslam trace` writes its echo shards: the walls
     in its first sweep are found.
     """
-    count, most = len(request.walls) + len(request.flashes), here.settings.max_walls
+    body = await request.body()
+    found = await here.parsed(session, body, ParseTask(SweepRequest, body))
+    count, most = len(found.walls) + len(found.flashes), here.settings.max_walls
     if count > most:
         raise TooLargeError(f"walls: expected at most {most} in a session, got {count}")
-    walls = request.gaussians()
-    if request.points:
-        rows = [(point.range_m, point.range_std_m, point.azimuth_rad) for point in request.points]
+    walls = found.gaussians()
+    if found.points:
+        rows = [(point.range_m, point.range_std_m, point.azimuth_rad) for point in found.points]
         await here.run(here.store.session, session.id, session.key_id)
         walls += await here.work(Lane.BULK, session, PointsTask(*zip(*rows, strict=True)))
-    return await take_walls(here, session, request.sweep, walls, response)
+    return await take_walls(here, session, found.sweep, walls, response)
 
 
 async def take_walls(

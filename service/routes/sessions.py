@@ -11,7 +11,7 @@ from sqlalchemy import Row
 
 from estimator.slam.methods import PAIRS
 from service.auth import Caller
-from service.bodies import TruthTask, json_content
+from service.bodies import ParseTask, json_content
 from service.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
 from service.documents import dump
 from service.errors import TooLargeError, TooManyError
@@ -30,12 +30,14 @@ async def methods(who: CallerDep) -> list[dict[str, str]]:
     return [{"method": method, "engine": engine} for method, engine in PAIRS]
 
 
-@router.post("/sessions", status_code=201, summary="Make a session")
-async def create(
-    request: SessionRequest, here: ContextDep, who: CallerDep, response: Response
-) -> dict[str, Any]:
+@router.post(
+    "/sessions", status_code=201, summary="Make a session", openapi_extra=json_content(SessionRequest)
+)
+async def create(request: Request, here: ContextDep, who: CallerDep, response: Response) -> dict[str, Any]:
     """Make a session; measurements go to the address in ``Location``."""
-    session = await create_session(request, here, who)
+    body, nowhere = await request.body(), SessionAccess("", who.key_id)
+    wanted = await here.parsed(nowhere, body, ParseTask(SessionRequest, body))
+    session = await create_session(wanted, here, who)
     response.headers["Location"] = f"/v1/sessions/{session.id}"
     return await read(session, here)
 
@@ -95,8 +97,8 @@ async def put_truth(request: Request, session: SessionDep, here: ContextDep) -> 
     """Walls, anchors and track that the page draws beside the estimates; no engine sees them."""
     body = await request.body()
     await here.run(here.store.session, session.id, session.key_id)
-    text = await here.parsed(session, body, TruthTask(body))
-    await here.run(here.store.set_truth, session.id, session.key_id, text)
+    truth = await here.parsed(session, body, ParseTask(Truth, body))
+    await here.run(here.store.set_truth, session.id, session.key_id, truth.model_dump_json())
 
 
 @router.get("/sessions/{session_id}/truth", summary="Read the truth", response_class=Response)
