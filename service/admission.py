@@ -28,6 +28,7 @@ _OPEN = frozenset(("/", "/docs", "/openapi.json", "/livez", "/readyz"))
 _BINARY = "application/octet-stream"
 _JSON = "application/json"
 _LARGE_JSON = ("/epochs", "/truth")
+_READING = frozenset(("GET", "HEAD", "OPTIONS"))
 _WITH_BODY = frozenset(("POST", "PUT", "PATCH", "DELETE"))
 
 
@@ -91,6 +92,8 @@ class Admission:
         if scope["path"] not in _OPEN and not scope["path"].startswith("/web/"):
             _check_origin(scope, headers)
             caller = await self._caller(scope, headers)
+            if caller.role == "read" and scope["method"] not in _READING:
+                raise ForbiddenError("expected a key that may write, got one that only reads")
         scope["state"]["caller"] = caller
         if scope["method"] not in _WITH_BODY:
             await self._app(scope, receive, send)

@@ -95,7 +95,7 @@ class _Description:
             )
             models = [(model, "validation") for model in _BODIES]
             _, found = models_json_schema(models, ref_template="#/components/schemas/{model}")  # type: ignore[arg-type]
-            document["components"]["schemas"] |= found["$defs"]
+            document.setdefault("components", {}).setdefault("schemas", {}).update(found["$defs"])
             self._document = document
         return self._document
 

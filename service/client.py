@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import random
 import re
+import secrets
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
@@ -81,7 +82,8 @@ class Client:
 
     def create_session(self, request: Mapping[str, Any]) -> str:
         """Make a session; its id. ``request`` as ``POST /v1/sessions`` takes it."""
-        return str(self._call("POST", "/v1/sessions", json=dict(request))["id"])
+        once = {"Idempotency-Key": secrets.token_hex(16)}  # so that a repeated call makes no second session
+        return str(self._call("POST", "/v1/sessions", json=dict(request), headers=once)["id"])
 
     def sessions(self) -> Iterator[dict[str, Any]]:
         """All sessions of the key, the newest first."""

@@ -20,7 +20,7 @@ from service.pace import Pace
 from service.pictures import PictureCache
 from service.readiness import Readiness
 from service.settings import Settings
-from service.store import Store
+from service.store import Store, unknown_session
 from service.telemetry import Metrics
 from service.worker import Task, TaskContext
 from service.workers import Lane, Workers
@@ -201,6 +201,8 @@ CallerDep = Annotated[Caller, Depends(caller)]
 
 
 async def _access(session_id: str, who: CallerDep) -> SessionAccess:
+    if who.session_id not in (None, session_id):
+        raise unknown_session(session_id)
     return SessionAccess(session_id, who.key_id)
 
 

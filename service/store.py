@@ -18,13 +18,14 @@ from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import Connection, Engine, Row
+from sqlalchemy.exc import IntegrityError
 
-from service.errors import NotFoundError
+from service.errors import ConflictError, NotFoundError
 from service.fold import Folded
 from service.tables import estimates, measurements, sessions, snapshots, truths
 from service.writes import GroupWriter, RevisionError, Write, apply
 
-__all__ = ["RevisionError", "Step", "Store"]
+__all__ = ["RevisionError", "Step", "Store", "unknown_session"]
 
 _SESSION: sa.BindParameter[str] = sa.bindparam("session")
 _OF_ALL = sa.select(sessions).where(sessions.c.id == _SESSION)
@@ -173,13 +174,55 @@ class Store:
         with self.reading() as connection:
             return connection.execute(query).all()
 
-    def create(self, session_id: str, key_id: str | None, name: str, config: str, limit: int) -> bool:
-        """Add a session; False if the key has ``limit`` sessions already."""
+    def create(
+        self,
+        session_id: str,
+        key_id: str | None,
+        name: str,
+        config: str,
+        limit: int,
+        once: tuple[str, bytes] | None = None,
+    ) -> str | None:
+        """Add a session; its id, or None if the key has ``limit`` sessions already.
+
+        Parameters
+        ----------
+        session_id, key_id, name, config
+            The session.
+        limit : int
+            Sessions that a key may have.
+        once : tuple, optional
+            The request's Idempotency-Key and digest: asked for again, the session made before is named.
+
+        Raises
+        ------
+        ConflictError
+            If another request came with that Idempotency-Key.
+        """
+        try:
+            return self._create(session_id, key_id, name, config, limit, once)
+        except IntegrityError:  # another process made it at the same moment
+            if once is None:
+                raise
+            return self._create(session_id, key_id, name, config, limit, once)
+
+    def _create(
+        self,
+        session_id: str,
+        key_id: str | None,
+        name: str,
+        config: str,
+        limit: int,
+        once: tuple[str, bytes] | None,
+    ) -> str | None:
         now = datetime.now(UTC)
         held = sa.select(sa.func.count()).select_from(sessions).where(_owned(key_id))
+        made_by = None if once is None else f"{key_id or ''}:{once[0]}"
         with self.writing() as connection:
+            if once is not None and (known := _made(connection, made_by, once[1])) is not None:
+                return known
             if connection.execute(held).scalar_one() >= limit:
-                return False
+                return None
             connection.execute(
                 sa.insert(sessions).values(
                     id=session_id,
@@ -191,16 +234,18 @@ class Store:
                     next_sweep=0,
                     next_epoch=0,
                     revision=0,
+                    made_by=made_by,
+                    made_from=None if once is None else once[1],
                 )
             )
-        return True
+        return session_id
 
     def delete(self, session_id: str, key_id: str | None) -> None:
         """Remove a session with everything of it; raises NotFoundError."""
         with self.writing() as connection:
             query = sa.delete(sessions).where(sessions.c.id == session_id, _owned(key_id))
             if connection.execute(query).rowcount != 1:
-                raise NotFoundError(_nothing(session_id))
+                raise unknown_session(session_id)
 
     def estimate(self, session_id: str, epoch: int, connection: Connection) -> str | None:
         """The document of an epoch's estimate."""
@@ -260,15 +305,27 @@ def _owned(key_id: str | None) -> sa.ColumnElement[bool]:
     return sessions.c.key_id.is_(None) if key_id is None else sessions.c.key_id == key_id
 
 
+def _made(connection: Connection, made_by: str | None, digest: bytes) -> str | None:
+    """The session that a request made before; raises ConflictError if it was another request."""
+    query = sa.select(sessions.c.id, sessions.c.made_from).where(sessions.c.made_by == made_by)
+    row = connection.execute(query).one_or_none()
+    if row is None:
+        return None
+    if bytes(row.made_from) != digest:
+        raise ConflictError("Idempotency-Key: expected the request that it came with before, got another")
+    return str(row.id)
+
+
 def _found(connection: Connection, session_id: str, key_id: str | None, lock: bool = False) -> Row[Any]:
     """A session's row, locked if asked for; raises NotFoundError."""
     query = _OF_NO_KEY if key_id is None else _OF_KEY
     given = {"session": session_id} if key_id is None else {"session": session_id, "key": key_id}
     row = connection.execute(query.with_for_update() if lock else query, given).one_or_none()
     if row is None:
-        raise NotFoundError(_nothing(session_id))
+        raise unknown_session(session_id)
     return row
 
 
-def _nothing(session_id: str) -> str:
-    return f"expected a session of yours, got {session_id[:64]!r}"
+def unknown_session(session_id: str) -> NotFoundError:
+    """The error for a session that is not there, or not the caller's: one is not told from the other."""
+    return NotFoundError(f"expected a session of yours, got {session_id[:64]!r}")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sqlalchemy as sa
 
-__all__ = ["api_keys", "estimates", "measurements", "metadata", "sessions", "snapshots", "truths"]
+__all__ = ["api_keys", "estimates", "measurements", "metadata", "sessions", "shares", "snapshots", "truths"]
 
 metadata = sa.MetaData(
     naming_convention={
@@ -34,6 +34,8 @@ api_keys = sa.Table(
     sa.Column("secret_sha256", sa.LargeBinary(32), nullable=False),
     sa.Column("created_at", sa.DateTime(timezone=True), nullable=False),
     sa.Column("revoked_at", sa.DateTime(timezone=True)),
+    sa.Column("role", sa.String(5), nullable=False, server_default="write"),  # or "read"
+    sa.Column("owner_id", sa.String(16)),  # the key whose sessions it sees, if not its own
 )
 
 sessions = sa.Table(
@@ -49,6 +51,9 @@ sessions = sa.Table(
     sa.Column("next_epoch", sa.Integer, nullable=False),
     sa.Column("time_s", sa.Double),
     sa.Column("revision", sa.Integer, nullable=False),  # of the log: one more with each commit
+    sa.Column("made_by", sa.String(320)),  # key and Idempotency-Key of the request that made it
+    sa.Column("made_from", sa.LargeBinary(32)),  # digest of that request
+    sa.Index("ux_sessions_made_by", "made_by", unique=True),
 )
 
 measurements = sa.Table(
@@ -91,4 +96,19 @@ truths = sa.Table(
     metadata,
     _session_id(),
     sa.Column("document", sa.Text, nullable=False),
+)
+
+shares = sa.Table(
+    "shares",
+    metadata,
+    sa.Column("id", sa.String(16), primary_key=True),
+    sa.Column(
+        "session_id",
+        sa.String(32),
+        sa.ForeignKey("sessions.id", ondelete="CASCADE"),
+        nullable=False,
+        index=True,
+    ),
+    sa.Column("secret_sha256", sa.LargeBinary(32), nullable=False),
+    sa.Column("expires_at", sa.DateTime(timezone=True), nullable=False),
 )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from sqlalchemy import Row
 
 from estimator.slam.methods import PAIRS
@@ -19,9 +20,24 @@ from service.fold import engine_of
 from service.schemas import SessionRequest, Truth
 from service.sessions import new_session_id
 
-__all__ = ["create_session", "read", "router", "session_document"]
+__all__ = ["OnceDep", "create_session", "read", "router", "session_document"]
 
 router = APIRouter(prefix="/v1", tags=["sessions"])
+Once = tuple[str, bytes] | None
+
+
+async def _once(
+    request: Request,
+    idempotency_key: Annotated[str | None, Header(min_length=1, max_length=200, pattern="^[!-~]+$")] = None,
+) -> Once:
+    """The request's Idempotency-Key, and a digest of all that the request asks for."""
+    if idempotency_key is None:
+        return None
+    asked = f"{request.url.path}?{request.url.query}".encode()
+    return idempotency_key, hashlib.sha256(asked + b"\n" + await request.body()).digest()
+
+
+OnceDep = Annotated[Once, Depends(_once)]
 
 
 @router.get("/methods", summary="What a session's method and engine may be")
@@ -33,28 +49,43 @@ async def methods(who: CallerDep) -> list[dict[str, str]]:
 @router.post(
     "/sessions", status_code=201, summary="Make a session", openapi_extra=json_content(SessionRequest)
 )
-async def create(request: Request, here: ContextDep, who: CallerDep, response: Response) -> dict[str, Any]:
-    """Make a session; measurements go to the address in ``Location``."""
+async def create(
+    request: Request, here: ContextDep, who: CallerDep, response: Response, once: OnceDep
+) -> dict[str, Any]:
+    """Make a session; measurements go to the address in ``Location``.
+
+    With an `Idempotency-Key` the same request again makes no other session.
+    """
     body, nowhere = await request.body(), SessionAccess("", who.key_id)
     wanted = await here.parsed(nowhere, body, ParseTask(SessionRequest, body))
-    session = await create_session(wanted, here, who)
+    session, _ = await create_session(wanted, here, who, once)
     response.headers["Location"] = f"/v1/sessions/{session.id}"
     return await read(session, here)
 
 
-async def create_session(request: SessionRequest, here: Context, who: Caller) -> SessionAccess:
-    """Make a session for a caller, within the limits."""
+async def create_session(
+    request: SessionRequest, here: Context, who: Caller, once: Once = None
+) -> tuple[SessionAccess, bool]:
+    """Make a session for a caller, within the limits, or find the one that the request made before.
+
+    Returns
+    -------
+    SessionAccess
+        The session.
+    bool
+        Whether it is new.
+    """
     if len(request.anchors) > here.settings.max_anchors:
         raise TooLargeError(
             f"anchors: expected at most {here.settings.max_anchors}, got {len(request.anchors)}"
         )
     config = request.config()
     engine_of(config)
-    session = SessionAccess(new_session_id(), who.key_id)
-    limit = here.settings.max_sessions_per_key
-    if not await here.run(here.store.create, session.id, who.key_id, request.name, dump(config), limit):
+    limit, new = here.settings.max_sessions_per_key, new_session_id()
+    made = await here.run(here.store.create, new, who.key_id, request.name, dump(config), limit, once)
+    if made is None:
         raise TooManyError(f"expected at most {limit} sessions of a key; delete some")
-    return session
+    return SessionAccess(made, who.key_id), made == new
 
 
 @router.get("/sessions", summary="List sessions")
@@ -67,6 +98,9 @@ async def list_sessions(
     ] = None,
 ) -> dict[str, Any]:
     """Sessions of the caller's key, the newest first, a page at a time."""
+    if who.session_id is not None:
+        only = await here.run(here.store.session, who.session_id, who.key_id)
+        return {"sessions": [session_document(only)], "next": None}
     rows = await here.run(here.store.sessions, who.key_id, before, limit)
     return {
         "sessions": [session_document(row) for row in rows],

@@ -13,7 +13,7 @@ from service.errors import ConflictError, WorkerDiedError
 from service.example import ExampleTask
 from service.raw_channels import ChannelsTask
 from service.routes.measurements import limits, take, take_walls
-from service.routes.sessions import create_session, read
+from service.routes.sessions import OnceDep, create_session, read
 from service.schemas import ChannelsQuery, SessionRequest
 from service.uploads import FileTask, Unpacked
 from service.worker import Task
@@ -84,12 +84,16 @@ async def uploads(
     response: Response,
     here: ContextDep,
     who: CallerDep,
+    once: OnceDep,
     name: Annotated[str, Query(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = "",
     method: Annotated[str, Query(max_length=50)] = "hybrid",
     engine: Annotated[str, Query(max_length=50)] = "gaussian",
     seed: Annotated[int, Query(ge=0, le=2**63 - 1)] = 1,
 ) -> dict[str, Any]:
-    """A measurement file, or a zipped dataset: a session is made for it and takes all of it in."""
+    """A measurement file, or a zipped dataset: a session is made for it and takes all of it in.
+
+    With an `Idempotency-Key` the same request again makes no other session.
+    """
     task = FileTask(await request.body(), here.settings.max_unpacked_bytes, limits(here))
     found = await unpacked(here, SessionAccess("", who.key_id), task)
     entry = {**found.session, "name": name, "method": method, "engine": engine, "seed": seed}
@@ -97,13 +101,14 @@ async def uploads(
         wanted = SessionRequest.model_validate(entry)
     except ValueError as error:
         raise FileFormatError(f"file: expected measurements that make a session: {error}") from error
-    session = await create_session(wanted, here, who)
+    session, new = await create_session(wanted, here, who, once)
     response.headers["Location"] = f"/v1/sessions/{session.id}"
     try:
         if found.epochs:
             await _take_all(here, session, found)
     except Exception:
-        await here.run(here.store.delete, session.id, session.key_id)
+        if new:
+            await here.run(here.store.delete, session.id, session.key_id)
         raise
     return await read(session, here)
 

@@ -266,3 +266,24 @@ def test_health_and_metrics(client: TestClient, session_url: str, post_epochs: A
     assert client.get("/livez").json() == {"status": "alive"}
     assert client.get("/readyz").status_code == 200
     assert "hapslam_epochs_total 4.0" in client.get("/metrics").text
+
+
+def test_a_session_is_made_once_however_often_it_is_asked_for(
+    client: TestClient, make_request: Callable[..., Any], walk: MeasurementSet, tmp_path: Path
+) -> None:
+    """With an Idempotency-Key the same request names the same session; another one is a conflict."""
+    once = {"Idempotency-Key": "a-1"}
+    first = client.post("/v1/sessions", json=make_request(), headers=once)
+    again = client.post("/v1/sessions", json=make_request(), headers=once)
+    assert (first.status_code, again.status_code) == (201, 201)
+    assert first.headers["Location"] == again.headers["Location"]
+    other = client.post("/v1/sessions", json=make_request(name="another"), headers=once)
+    assert other.status_code == 409
+    save_measurements(walk, tmp_path / "walk.nc")
+    upload = {"Idempotency-Key": "u-1", "Content-Type": "application/octet-stream"}
+    body = (tmp_path / "walk.nc").read_bytes()
+    places = {client.post("/v1/uploads", content=body, headers=upload).headers["Location"] for _ in range(2)}
+    assert len(places) == 1
+    assert len(client.get("/v1/sessions").json()["sessions"]) == 2
+    assert client.post("/v1/sessions", json=make_request()).status_code == 201
+    assert len(client.get("/v1/sessions").json()["sessions"]) == 3
