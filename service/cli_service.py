@@ -103,23 +103,61 @@ def key_create(
     name: Annotated[str, typer.Argument(help="Whose key it is.")],
     database: Database = None,
     config: Config = None,
+    reads: Annotated[bool, typer.Option("--read", help="A key that changes nothing.")] = False,
+    of: Annotated[
+        str | None, typer.Option(metavar="ID", help="Key whose sessions it sees; by default it has its own.")
+    ] = None,
 ) -> None:
     """Make a key and show it, this once."""
+    from estimator.errors import InputError
+    from service.auth import KeyRing
+    from service.names import plain_text
+
+    try:
+        named = plain_text(name)
+    except ValueError as error:
+        raise InputError(f"name: {error}") from error
+    with _opened(database, config) as engine:
+        sys.stdout.write(KeyRing(engine).create(named, "read" if reads else "write", of) + "\n")
+
+
+@_keys.command("rotate")
+def key_rotate(
+    key_id: Annotated[str, typer.Argument(help="The key's id, as `hapslam key list` shows it.")],
+    database: Database = None,
+    config: Config = None,
+) -> None:
+    """Give a key a new secret and show it, this once; the old one is let in no more, sessions stay."""
     from service.auth import KeyRing
 
     with _opened(database, config) as engine:
-        sys.stdout.write(KeyRing(engine).create(name) + "\n")
+        sys.stdout.write(KeyRing(engine).rotate(key_id) + "\n")
+
+
+@_keys.command("transfer")
+def key_transfer(
+    giver: Annotated[str, typer.Argument(help="Key whose sessions are given away; it may be revoked.")],
+    taker: Annotated[str, typer.Argument(help="Key that gets them.")],
+    database: Database = None,
+    config: Config = None,
+) -> None:
+    """Give all sessions of a key to another."""
+    from service.auth import KeyRing
+
+    with _opened(database, config) as engine:
+        sys.stdout.write(f"{KeyRing(engine).transfer(giver, taker)} sessions\n")
 
 
 @_keys.command("list")
 def key_list(database: Database = None, config: Config = None) -> None:
-    """List the keys: id, since when, whether in force, name."""
+    """List the keys: id, since when, whether in force, what they may do, name."""
     from service.auth import KeyRing
 
     with _opened(database, config) as engine:
         for row in KeyRing(engine).list():
             state = "in force" if row.revoked_at is None else f"revoked {row.revoked_at:%Y-%m-%d}"
-            sys.stdout.write(f"{row.id}  {row.created_at:%Y-%m-%d}  {state:<18}  {row.name}\n")
+            role = row.role if row.owner_id is None else f"{row.role} of {row.owner_id}"
+            sys.stdout.write(f"{row.id}  {row.created_at:%Y-%m-%d}  {state:<18}  {role:<5}  {row.name}\n")
 
 
 @_keys.command("revoke")
@@ -128,7 +166,7 @@ def key_revoke(
     database: Database = None,
     config: Config = None,
 ) -> None:
-    """Let a key in no more; its sessions stay."""
+    """Let a key in no more; its sessions stay, and `key transfer` gives them to another."""
     from service.auth import KeyRing
 
     with _opened(database, config) as engine:

@@ -21,6 +21,7 @@ from service.pictures import PictureCache
 from service.readiness import Readiness
 from service.settings import Settings
 from service.store import Store, unknown_session
+from service.streams import Streams
 from service.telemetry import Metrics
 from service.worker import Task, TaskContext
 from service.workers import Lane, Workers
@@ -94,6 +95,8 @@ class Context:
         Whether the database answers.
     pace : Pace
         How long sessions' epochs take.
+    streams : Streams
+        Event streams that are open.
     draining : bool
         Whether the server is about to stop: streams end, ``/readyz`` says no.
     """
@@ -108,6 +111,7 @@ class Context:
     readiness: Readiness = field(default_factory=Readiness)
     pace: Pace = field(default_factory=Pace)
     draining: bool = False
+    streams: Streams = field(init=False)
     _loop: asyncio.AbstractEventLoop | None = None
     _threads: anyio.CapacityLimiter = field(init=False)
     _doors: anyio.CapacityLimiter = field(init=False)
@@ -119,6 +123,7 @@ class Context:
         self.store, self.keys = Store(engine), KeyRing(engine)
         self.workers = Workers(self.settings, self.store)
         self._loop = asyncio.get_running_loop()
+        self.streams = Streams(self.settings.max_streams_per_key)
         self._threads, self._doors = anyio.CapacityLimiter(_THREADS), anyio.CapacityLimiter(_DOORS)
 
     async def anchors(self, session: SessionAccess) -> list[str]:

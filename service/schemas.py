@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from estimator.arrays import AntennaArray, UniformLinearArray, UniformPlanarArray
 from estimator.errors import InputError
 from estimator.geometry import rotation_matrix
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp
 from estimator.slam.run import ENGINES, METHODS
+from service.names import plain_text
 
 __all__ = [
     "ChannelsQuery",
@@ -42,7 +43,10 @@ Finite = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e9, le=1e
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e15)]
 Integer = Annotated[int, BeforeValidator(_number)]
 Number = Annotated[Integer, Field(ge=0, le=2**31 - 2)]
-Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Name = Annotated[
+    str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$"), AfterValidator(plain_text)
+]
+Title = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$"), AfterValidator(plain_text)]
 Pair = Annotated[list[Finite], Field(fail_fast=True, min_length=2, max_length=2)]
 Matrix = Annotated[list[Pair], Field(fail_fast=True, min_length=2, max_length=2)]
 
@@ -79,7 +83,7 @@ class SessionRequest(Request):
         }
     )
 
-    name: Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = ""
+    name: Title = ""
     method: Annotated[str, Field(max_length=50, json_schema_extra={"enum": list(METHODS)})] = "hybrid"
     engine: Annotated[str, Field(max_length=50, json_schema_extra={"enum": list(ENGINES)})] = "gaussian"
     seed: Annotated[Integer, Field(ge=0, le=2**63 - 1)] = 0
@@ -274,7 +278,7 @@ class ChannelsQuery(Request):
 class TruthWall(Request):
     """A true wall as a segment."""
 
-    name: Annotated[str, Field(max_length=100)] = ""
+    name: Annotated[str, Field(max_length=100), AfterValidator(plain_text)] = ""
     from_m: Pair
     to_m: Pair
 

@@ -14,6 +14,7 @@ import uvicorn
 from estimator.errors import ConfigurationError
 from service.app import create_app
 from service.auth import KeyRing, is_loopback
+from service.connections import Patience, patient_protocol
 from service.database import opened
 from service.settings import Settings
 from service.telemetry import configure_logs
@@ -75,6 +76,7 @@ def serve(settings: Settings) -> None:
         app,
         host=settings.host,
         port=settings.port,
+        http=patient_protocol(Patience(settings.head_timeout_s)),
         log_level="warning",
         access_log=False,
         server_header=False,

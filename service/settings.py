@@ -89,7 +89,7 @@ class Settings(BaseSettings):
     max_waiting: Count = 64
     max_wait_s: Seconds = 30.0
     max_work_s_per_minute: Seconds = 90.0
-    step_timeout_s: Seconds = 10.0
+    step_timeout_s: Seconds = 20.0
     work_timeout_s: Seconds = 90.0
     max_step_pairs: Count = 20_000
     prompt_s: Seconds = 0.5

@@ -30,7 +30,7 @@ __all__ = ["LocalWorker", "Task", "TaskContext", "Worker", "WorkerSetup"]
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
-_START_S = 120.0  # until a new process must be ready, however busy the machine is
+_START_S = 300.0  # until a process is ready: on a new machine it compiles the engine first
 _PATIENCE = 4.0  # of the wall clock beside processor time: a niced process may wait for its turn
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100
 
@@ -102,7 +102,11 @@ def _serve(connection: Connection, setup: WorkerSetup) -> None:
     os.nice(setup.nice)
     warnings.simplefilter("ignore", RuntimeWarning)  # wild measurements overflow; estimates are checked
     context = TaskContext(begin_step=lambda what: connection.send(("step", what)))
-    if setup.database is not None:
+    if setup.database is None:
+        from service.warmup import warm_up  # of the processes alone: the server starts sooner
+
+        warm_up()
+    else:
         context.store = _opened(*setup.database)
     limit_memory(setup.most_bytes)
     connection.send(("ready", None))

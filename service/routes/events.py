@@ -2,7 +2,7 @@
 
 The stream is read from the database, not from memory: an event's id is its epoch, and a
 client that comes back with ``Last-Event-ID`` gets what followed, whichever process of the
-service it meets.
+service it meets. A stream ends with its key, its share or its session.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import asyncio
 from collections.abc import AsyncIterator
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Query
+from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import StreamingResponse
 from fastapi.sse import format_sse_event
 
 from service.context import Context, ContextDep, SessionAccess, SessionDep
-from service.errors import NotFoundError
+from service.errors import AuthenticationError, NotFoundError
 
 __all__ = ["router"]
 
@@ -34,6 +34,7 @@ _KEEP_ALIVE_POLLS = 30
     responses={200: {"description": "Events named `epoch`", "content": {"text/event-stream": {}}}},
 )
 async def events(
+    request: Request,
     session: SessionDep,
     here: ContextDep,
     first: Annotated[int, Query(ge=0, le=2**31 - 2, description="Epoch to begin at.")] = 0,
@@ -43,22 +44,25 @@ async def events(
     """A stream of events ``epoch``, each with the state after that epoch; ``deleted`` is the last."""
     begin = first if last_event_id is None else int(last_event_id) + 1
     await here.run(here.store.session, session.id, session.key_id)
-    stream = _stream(here, session, begin, follow)
+    here.streams.check(session.key_id)
+    stream = _stream(here, session, begin, follow, request.headers.get("authorization"))
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
 
 
-async def _stream(here: Context, session: SessionAccess, begin: int, follow: bool) -> AsyncIterator[bytes]:
+async def _stream(
+    here: Context, session: SessionAccess, begin: int, follow: bool, authorization: str | None
+) -> AsyncIterator[bytes]:
     yield format_sse_event(comment="hapslam", retry=1000)
     silent = 0
     here.metrics.streams.inc()
     try:
-        with here.bell.listening(session.id) as rung:
+        with here.streams.opened(session.key_id), here.bell.listening(session.id) as rung:
             while not here.draining:
                 rung.clear()
                 try:
-                    page = await here.run(_page, here, session, begin)
-                except NotFoundError:
+                    page = await here.run(_page, here, session, begin, authorization)
+                except (NotFoundError, AuthenticationError):
                     yield format_sse_event(data_str="{}", event="deleted")
                     return
                 for epoch, document in page:
@@ -79,7 +83,12 @@ async def _stream(here: Context, session: SessionAccess, begin: int, follow: boo
         here.metrics.streams.dec()
 
 
-def _page(here: Context, session: SessionAccess, begin: int) -> list[tuple[int, str]]:
+def _page(
+    here: Context, session: SessionAccess, begin: int, authorization: str | None
+) -> list[tuple[int, str]]:
+    """The epochs from ``begin`` on, as long as the key is in force and the session there."""
+    if not here.keys.still(authorization):
+        raise AuthenticationError("expected a key in force, it was revoked")
     with here.store.reading() as connection:
         here.store.session(session.id, session.key_id, connection)
         rows = here.store.estimates(session.id, begin, 2**31 - 1, connection, _PAGE)

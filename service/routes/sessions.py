@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header, Query, Request, Response
@@ -119,6 +119,22 @@ async def delete(session: SessionDep, here: ContextDep) -> None:
     """Delete a session with its measurements, its state and its estimates."""
     await here.run(here.store.delete, session.id, session.key_id)
     here.bell.ring(session.id)
+
+
+@router.post("/sessions/{session_id}/shares", status_code=201, summary="Share a session")
+async def share(
+    session: SessionDep,
+    here: ContextDep,
+    hours: Annotated[float, Query(gt=0.0, le=8766.0, description="Until the share expires.")] = 24.0,
+) -> dict[str, str]:
+    """Make a key to this session alone that only reads and expires; it cannot be shown again.
+
+    The page opens it at `link`, whose part after `#` no server and no log sees.
+    """
+    await here.run(here.store.session, session.id, session.key_id)
+    expires_at = datetime.now(UTC) + timedelta(hours=hours)
+    key = await here.run(here.keys.share, session.id, expires_at)
+    return {"key": key, "expires_at": _instant(expires_at), "link": f"/#/s/{session.id}/{key}"}
 
 
 @router.put(
