@@ -54,6 +54,12 @@ def test_connections_that_keep_waiting_are_closed(database: str, monkeypatch: py
         assert httpx2.get(f"{server.url}/livez").status_code == 200
 
 
+def _waiting(client: httpx2.Client) -> float:
+    """Requests that wait for a worker, as the server counts them."""
+    lines = client.get("/metrics").text.splitlines()
+    return next(float(line.split()[1]) for line in lines if line.startswith("hapslam_steps_waiting"))
+
+
 def test_the_end_does_not_wait_for_pictures(
     database: str, walk: MeasurementSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -65,23 +71,26 @@ def test_the_end_does_not_wait_for_pictures(
         client.post_sweep(session, sweep_entry(walk))
         client.post_epochs(session, [epoch_entry(walk.anchors, epoch) for epoch in walk.epochs])
 
+        asking = httpx2.Client(base_url=server.url, timeout=60.0, limits=httpx2.Limits(max_connections=50))
+
         def ask(epoch: int) -> None:
-            url = f"{server.url}/v1/sessions/{session}/map.png"
             try:
-                statuses.append(httpx2.get(url, params={"epoch": epoch}, timeout=60.0).status_code)
+                answer = asking.get(f"/v1/sessions/{session}/map.png", params={"epoch": epoch})
+                statuses.append(answer.status_code)
             except httpx2.TransportError:
                 statuses.append(0)
 
         threads = [threading.Thread(target=ask, args=(n,)) for n in range(40)]
         for thread in threads:
             thread.start()
-        while not statuses:
+        while _waiting(asking) < 20 and len(statuses) < 20:
             time.sleep(0.05)
         begin = time.monotonic()
         assert server.stop(patience_s=60.0) == 0
         took_s = time.monotonic() - begin
         for thread in threads:
             thread.join()
+        asking.close()
     assert took_s < 2.0 + 20.0  # the drain, and a busy machine's time to end processes
-    assert statuses.count(503) > 10
+    assert statuses.count(503) >= 10
     assert set(statuses) <= {0, 200, 503}, json.dumps(statuses)
