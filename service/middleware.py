@@ -11,6 +11,7 @@ from typing import Any
 
 import structlog
 
+from service.errors import DrainingError
 from service.problems import problem
 from service.telemetry import Metrics
 
@@ -85,6 +86,12 @@ class RequestMiddleware:
                     f"expected an answer within {self._timeout_s:g} s; what is in work may yet be taken in"
                 )
                 await problem(late, request_id)(scope, receive, send_with_headers)  # type: ignore[arg-type]
+            except asyncio.CancelledError:  # the server stops, and its patience has ended
+                within = False
+                if not status:
+                    ended = DrainingError("expected a server that runs on, it is about to stop; come again")
+                    await problem(ended, request_id)(scope, receive, send_with_headers)  # type: ignore[arg-type]
+                raise
             except Exception as error:
                 within = False
                 if status:
