@@ -29,9 +29,9 @@ from service.tables import api_keys, sessions, shares
 __all__ = ["Caller", "KeyRing", "Role", "is_loopback"]
 
 Role = Literal["read", "write"]
-_SECRET = "([A-Za-z0-9_-]{43})"
-_KEY = re.compile(f"hapslam_([0-9a-f]{{12}})_{_SECRET}")
-_SHARE = re.compile(f"hapslam-share_([0-9a-f]{{12}})_{_SECRET}")
+_RANDOM = "([A-Za-z0-9_-]{43})"
+_KEY = re.compile(f"hapslam_([0-9a-f]{{12}})_{_RANDOM}")
+_SHARE = re.compile(f"hapslam-share_([0-9a-f]{{12}})_{_RANDOM}")
 _REMEMBER_S = 1.0
 
 

@@ -172,7 +172,7 @@ class Context:
         return await anyio.to_thread.run_sync(admit, limiter=self._doors)
 
     def drain(self) -> None:
-        """End the streams, send away what waits for long work, and report not ready; from any thread."""
+        """End the streams, send away those who wait to read, and report not ready; from any thread."""
         self.draining = True
         if self._loop is not None:
             self._loop.call_soon_threadsafe(self._drain)

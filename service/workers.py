@@ -74,9 +74,8 @@ class Workers:
         return sum(turns.waiting for turns in self._turns.values())
 
     def drain(self) -> None:
-        """Send away all that could take long; steps are still finished."""
-        for lane in (Lane.BULK, Lane.READS):
-            self._turns[lane].close()
+        """Send away those who want to read; what is to be taken in has the time of the drain."""
+        self._turns[Lane.READS].close()
 
     async def run(self, lane: Lane, key: Key, session: str, task: Task[T]) -> T:
         """Have a task done in a process.

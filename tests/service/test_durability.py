@@ -146,6 +146,9 @@ def test_the_server_drains_on_sigterm(database: str, walk: MeasurementSet) -> No
         session = client.create_session(session_entry(walk, seed=SEED))
         client.post_sweep(session, sweep_entry(walk))
         entries = [epoch_entry(walk.anchors, epoch) for epoch in walk.epochs]
+        ready = client.create_session(session_entry(walk, seed=SEED))  # its steps wait for the workers' start
+        client.post_sweep(ready, sweep_entry(walk))
+        client.post_epochs(ready, entries)
         told: list[int] = []
 
         def follow() -> None:

@@ -83,8 +83,8 @@ def test_answers_are_as_described(database: str, walk: MeasurementSet, phases: s
             check=False,
         )
         assert finished.returncode == 0, finished.stdout[-20_000:]
-        selected = 24 if phases == "fuzzing" else 25
-        assert f"{selected} selected / 25 total" in finished.stdout
+        selected = 25 if phases == "fuzzing" else 26
+        assert f"{selected} selected / 26 total" in finished.stdout
         assert client.session(session)["next_epoch"] >= 5
 
 

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
+import httpx2
 import pytest
 import sqlalchemy as sa
 from fastapi.testclient import TestClient
 
 from estimator.errors import ConfigurationError
+from estimator.measurements import MeasurementSet
 from service.app import create_app
 from service.auth import KeyRing, is_loopback
+from service.client import Client
 from service.database import opened
 from service.errors import DatabaseError, NotFoundError
+from service.push import session_entry
 from service.serve import check_binding
 from service.settings import load_settings
-from service.tables import api_keys
+from service.tables import api_keys, shares
+from tests.service.harness import Server
 
 
 @pytest.fixture
@@ -158,3 +165,102 @@ def test_a_database_that_cannot_be_opened_is_told() -> None:
     with pytest.raises(DatabaseError) as caught:
         check_binding(hidden)
     assert "secret" not in str(caught.value)
+
+
+def test_a_key_that_reads_changes_nothing(
+    keys: KeyRing, client: TestClient, make_request: Callable[..., Any]
+) -> None:
+    """It sees what its owner has, and every request that would change something is refused."""
+    ann = keys.create("ann")
+    reader = keys.create("reader", "read", keys.list()[0].id)
+    url = client.post("/v1/sessions", json=make_request(), headers=_as(ann)).headers["Location"]
+    assert client.get(url, headers=_as(reader)).status_code == 200
+    assert len(client.get("/v1/sessions", headers=_as(reader)).json()["sessions"]) == 1
+    for method, path in (
+        ("POST", "/v1/sessions"),
+        ("DELETE", url),
+        ("PUT", f"{url}/truth"),
+        ("POST", f"{url}/shares"),
+    ):
+        answer = client.request(method, path, headers=_as(reader))
+        assert (answer.status_code, answer.json()["type"]) == (403, "urn:hapslam:problem:forbidden")
+    assert client.get(url, headers=_as(ann)).status_code == 200
+    with pytest.raises(NotFoundError, match="in force"):
+        keys.create("nobody's", "read", "0" * 12)
+
+
+def test_a_share_opens_one_session_until_it_expires(
+    keys: KeyRing, client: TestClient, make_request: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its key reads that session and nothing else; after its hours it is let in no more."""
+    ann = keys.create("ann")
+    one, two = (
+        client.post("/v1/sessions", json=make_request(), headers=_as(ann)).headers["Location"] for _ in "ab"
+    )
+    made = client.post(f"{one}/shares", params={"hours": 1}, headers=_as(ann))
+    assert made.status_code == 201
+    share = made.json()["key"]
+    assert made.json()["link"] == f"/#/s/{one[-32:]}/{share}"
+    assert client.get(one, headers=_as(share)).status_code == 200
+    assert client.get(two, headers=_as(share)).status_code == 404
+    assert [s["id"] for s in client.get("/v1/sessions", headers=_as(share)).json()["sessions"]] == [one[-32:]]
+    for method, path in (("DELETE", one), ("POST", f"{one}/shares"), ("POST", "/v1/sessions")):
+        assert client.request(method, path, headers=_as(share)).status_code == 403
+    with keys._engine.connect().execution_options(write=True) as connection, connection.begin():
+        connection.execute(sa.update(shares).values(expires_at=datetime.now(UTC) - timedelta(seconds=1)))
+    assert client.get(one, headers=_as(share)).status_code == 401
+
+
+def test_a_key_is_rotated_and_its_sessions_are_given_away(
+    keys: KeyRing, client: TestClient, make_request: Callable[..., Any]
+) -> None:
+    """A new secret for the same sessions; of a revoked key, its sessions for another key."""
+    ann = keys.create("ann")
+    ann_id = keys.list()[0].id
+    url = client.post("/v1/sessions", json=make_request(), headers=_as(ann)).headers["Location"]
+    again = keys.rotate(ann_id)
+    assert client.get(url, headers=_as(ann)).status_code == 401
+    assert client.get(url, headers=_as(again)).status_code == 200
+    keys.revoke(ann_id)
+    bob = keys.create("bob")
+    assert client.get(url, headers=_as(bob)).status_code == 404
+    assert keys.transfer(ann_id, bob.split("_")[1]) == 1
+    assert client.get(url, headers=_as(bob)).status_code == 200
+    with pytest.raises(NotFoundError, match="in force"):
+        keys.rotate(ann_id)
+    with pytest.raises(NotFoundError, match="expected the id of a key"):
+        keys.transfer("f" * 12, bob.split("_")[1])
+
+
+def test_a_stream_ends_with_its_key(database: str, keys: KeyRing, walk: MeasurementSet) -> None:
+    """Who follows a session with a key that is revoked is told nothing more, within a second or so."""
+    key = keys.create("ann")
+    with Server(database, workers=1) as server, Client(server.url, key) as client:
+        session = client.create_session(session_entry(walk))
+        url = f"{server.url}/v1/sessions/{session}/events"
+        with httpx2.stream("GET", url, headers=_as(key), timeout=30.0) as stream:
+            lines = stream.iter_lines()
+            assert next(lines)
+            keys.revoke(keys.list()[0].id)
+            begin = time.monotonic()
+            assert "event: deleted" in list(lines)
+        assert time.monotonic() - begin < 10.0
+
+
+def test_the_counters_want_a_key(keys: KeyRing, client: TestClient) -> None:
+    """What the service counts is for those who have a key; the probes are for everyone."""
+    key = keys.create("ann")
+    assert client.get("/metrics", headers=_as(key)).status_code == 200
+    assert client.get("/metrics").status_code == 401
+    assert client.get("/livez").status_code == client.get("/readyz").status_code == 200
+
+
+@pytest.mark.parametrize("name", ["a\u202eb", "a\u2066b", "a\u200bb", "a\u0085b", "a\ufeff", "a\u2028b"])
+def test_names_are_what_they_seem(client: TestClient, make_request: Callable[..., Any], name: str) -> None:
+    """No invisible characters, none that turn the text; what is composed of pieces becomes one letter."""
+    for changed in ({"name": name}, {"anchors": [name, "b"]}):
+        answer = client.post("/v1/sessions", json=make_request(**changed))
+        assert answer.status_code == 422
+        assert "expected letters that can be seen" in answer.json()["detail"]
+    made = client.post("/v1/sessions", json=make_request(name="Bu\u0308ro"))
+    assert made.json()["name"] == "B\u00fcro"
