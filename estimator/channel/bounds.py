@@ -20,7 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.arrays import AntennaArray
-from estimator.channel.atoms import SeparableAtoms
+from estimator.channel.atoms import information, inner_products
+from estimator.channel.linear import factorise, invert
+from estimator.compiled import compiled
 from estimator.errors import InputError
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
 
@@ -101,19 +103,19 @@ def joint_delay_variance(
     delay = np.asarray(delay_s, dtype=np.float64)
     g = np.asarray(gain, dtype=np.complex128)
     points = (delay * grid.tone_spacing_hz)[..., None]
-    covariance = point_covariance(SeparableAtoms(grid.tones), points, g[..., None, :], noise_variance)
+    covariance = point_covariance(np.array([grid.tones]), points, g[..., None, :], noise_variance)
     return np.asarray(covariance[..., 0, 0] / grid.tone_spacing_hz**2)
 
 
 def point_covariance(
-    atoms: SeparableAtoms, points: Real, gain: NDArray[np.complex128], noise_variance: ArrayLike
+    sizes: NDArray[np.int64], points: Real, gain: NDArray[np.complex128], noise_variance: ArrayLike
 ) -> Real:
     """Bounds on points estimated together, their gains unknown.
 
     Parameters
     ----------
-    atoms : SeparableAtoms
-        The atoms.
+    sizes : ndarray of int64, shape (D,)
+        Tones, and elements along each axis of the array.
     points : ndarray, shape (..., K, D)
         Points in turns, all different.
     gain : ndarray of complex128, shape (..., S, K)
@@ -132,15 +134,32 @@ def point_covariance(
         If two points of a channel coincide, so that the bound does not exist.
     """
     *batch, paths, axes = points.shape
-    kernels = atoms.kernels(points[..., :, None, :] - points[..., None, :, :])
-    try:
-        inverse = np.linalg.inv(kernels.information(gain))
-    except np.linalg.LinAlgError as error:
-        raise InputError("delay_s: expected delays that all differ, got coinciding ones") from error
-    blocks = inverse.reshape(*batch, axes, paths, axes, paths)
-    own = np.moveaxis(np.diagonal(blocks, axis1=-3, axis2=-1), -1, -3)
+    many = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, paths, axes)
+    gains = np.ascontiguousarray(np.broadcast_to(gain, (*batch, *gain.shape[-2:])), dtype=np.complex128)
+    own = np.empty((*many.shape, axes))
+    if not _own_blocks(sizes, many, gains.reshape(len(many), -1, paths), own):
+        raise InputError("delay_s: expected delays that all differ, got coinciding ones")
     scale = 0.5 * np.asarray(noise_variance, dtype=np.float64)[..., None, None, None]
-    return np.asarray(scale * own)
+    return np.asarray(scale * own.reshape(*batch, paths, axes, axes))
+
+
+@compiled
+def _own_blocks(sizes: NDArray[np.int64], points: Real, gain: NDArray[np.complex128], own: Real) -> bool:
+    """Fill in the blocks (C, K, D, D) of the inverse information; whether all of it could be inverted."""
+    channels, paths, axes = points.shape
+    for c in range(channels):
+        kernels = inner_products(sizes, points[c])
+        upper = kernels.kernel.copy()
+        if not factorise(upper):
+            return False
+        inverse = information(kernels, upper, gain[c])
+        if not invert(inverse):
+            return False
+        for k in range(paths):
+            for d in range(axes):
+                for e in range(axes):
+                    own[c, k, d, e] = inverse[d * paths + k, e * paths + k]
+    return True
 
 
 def delay_direction_covariance(
@@ -184,5 +203,5 @@ def delay_direction_covariance(
     scale = np.array([grid.tone_spacing_hz] + [-spacing for spacing in array.spacings])
     direction = np.asarray(projection, dtype=np.float64)
     points = np.concatenate([delay[..., None], direction], axis=-1) * scale
-    atoms = SeparableAtoms(grid.tones, array.shape)
-    return np.asarray(point_covariance(atoms, points, g, noise_variance) / np.outer(scale, scale))
+    sizes = np.array([grid.tones, *array.shape], dtype=np.int64)
+    return np.asarray(point_covariance(sizes, points, g, noise_variance) / np.outer(scale, scale))

@@ -20,14 +20,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from estimator.compiled import compiled
 from estimator.errors import InputError
 from estimator.waveform import OfdmGrid
 
-__all__ = ["ToneBlocks", "ToneCorrelator", "delay_atoms", "dirichlet"]
+__all__ = ["ToneBlocks", "ToneCorrelator", "delay_atoms", "dirichlet", "dirichlet_at", "dirichlet_of"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+_NEAR = 0.03  # sin(pi x) N below which quotients of sines give way to their series
 _BLOCK = 32  # tones per block: close to the root of usual tone numbers, so that both factors are short
 
 
@@ -68,30 +70,59 @@ def dirichlet(turns: ArrayLike, tones: int) -> tuple[Real, Real, Real]:
         ``D``, ``dD/dx`` and ``d2D/dx2`` in the shape of ``turns``.
     """
     x = np.asarray(turns, dtype=np.float64)
+    values = np.empty((3, x.size))
+    _dirichlet(np.ascontiguousarray(x).ravel(), tones, values)
+    return values[0].reshape(x.shape), values[1].reshape(x.shape), values[2].reshape(x.shape)
+
+
+@compiled
+def dirichlet_at(x: float, tones: int) -> tuple[float, float, float]:
+    """The Dirichlet kernel and its first two derivatives at one difference; see :func:`dirichlet`."""
     whole = np.rint(x)
-    x = x - whole
-    near = np.abs(x) * tones < 1e-2
-    sine = np.sin(np.pi * np.where(near, 0.5, x))
-    cosine = np.cos(np.pi * np.where(near, 0.5, x))
-    # D = sin(pi N x) / sin(pi x); the derivatives follow from D sin(pi x) = sin(pi N x).
-    kernel = np.sin(np.pi * tones * x) / sine
-    slope = np.pi * (tones * np.cos(np.pi * tones * x) - kernel * cosine) / sine
-    curvature = np.pi**2 * (1.0 - tones**2) * kernel - 2.0 * np.pi * slope * cosine / sine
-    if np.any(near):  # there the quotients cancel: Taylor series in the moments of n'
-        n2 = float(tones) ** 2
-        m0 = float(tones)
-        m2 = m0 * (n2 - 1.0) / 12.0
-        m4 = m2 * (3.0 * n2 - 7.0) / 20.0
-        m6 = m2 * (3.0 * n2**2 - 18.0 * n2 + 31.0) / 112.0
-        w = 2.0 * np.pi
-        v = (w * x) ** 2
-        kernel = np.where(near, m0 - v * (m2 / 2.0 - v * (m4 / 24.0 - v * m6 / 720.0)), kernel)
-        slope = np.where(near, -w * (w * x) * (m2 - v * (m4 / 6.0 - v * m6 / 120.0)), slope)
-        curvature = np.where(near, -w * w * (m2 - v * (m4 / 2.0 - v * m6 / 24.0)), curvature)
-    if tones % 2 == 0:  # half-integer n': the kernel changes sign from turn to turn
-        sign = 1.0 - 2.0 * np.mod(whole, 2.0)
-        kernel, slope, curvature = sign * kernel, sign * slope, sign * curvature
-    return np.asarray(kernel), np.asarray(slope), np.asarray(curvature)
+    left = x - whole
+    turn, step = np.pi * tones * left, np.pi * left
+    kernel, slope, curvature = dirichlet_of(
+        left, tones, (np.sin(turn), np.cos(turn)), (np.sin(step), np.cos(step))
+    )
+    if tones % 2 == 0 and whole % 2.0 != 0.0:  # half-integer n': the kernel changes sign from turn to turn
+        return -kernel, -slope, -curvature
+    return kernel, slope, curvature
+
+
+@compiled
+def dirichlet_of(
+    x: float, tones: int, turn: tuple[float, float], step: tuple[float, float]
+) -> tuple[float, float, float]:
+    """The same where sine and cosine of ``pi tones x`` and of ``pi x`` are known already."""
+    n = float(tones)
+    if abs(step[0]) * n > _NEAR:
+        # D = sin(pi N x) / sin(pi x); the derivatives follow from D sin(pi x) = sin(pi N x).
+        over = 1.0 / step[0]
+        kernel = turn[0] * over
+        slope = np.pi * (n * turn[1] - kernel * step[1]) * over
+        curvature = np.pi**2 * (1.0 - n * n) * kernel - 2.0 * np.pi * slope * step[1] * over
+        return kernel, slope, curvature
+    # there the quotients cancel: Taylor series in the moments of n'
+    whole = np.rint(x)
+    m2 = n * (n * n - 1.0) / 12.0
+    m4 = m2 * (3.0 * n * n - 7.0) / 20.0
+    m6 = m2 * (3.0 * n**4 - 18.0 * n * n + 31.0) / 112.0
+    w = 2.0 * np.pi
+    y = w * (x - whole)
+    v = y * y
+    kernel = n - v * (m2 / 2.0 - v * (m4 / 24.0 - v * m6 / 720.0))
+    slope = -w * y * (m2 - v * (m4 / 6.0 - v * m6 / 120.0))
+    curvature = -w * w * (m2 - v * (m4 / 2.0 - v * m6 / 24.0))
+    if tones % 2 == 0 and whole % 2.0 != 0.0:
+        return -kernel, -slope, -curvature
+    return kernel, slope, curvature
+
+
+@compiled
+def _dirichlet(x: Real, tones: int, values: Real) -> None:
+    """Fill in the kernel (3, n)."""
+    for i in range(x.size):
+        values[0, i], values[1, i], values[2, i] = dirichlet_at(x[i], tones)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +136,6 @@ class ToneBlocks:
     """
 
     values: Complex
-
-    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> ToneBlocks:
-        """The blocks of a selection of the CFRs."""
-        return ToneBlocks(self.values[rows])
 
 
 class ToneCorrelator:

@@ -1,4 +1,4 @@
-"""Newtonised orthogonal matching pursuit (NOMP) for paths, batched over channels.
+"""Newtonised orthogonal matching pursuit (NOMP) for paths.
 
 After B. Mamandipoor, D. Ramasamy and U. Madhow, "Newtonized orthogonal matching pursuit:
 frequency estimation over the continuum", IEEE Trans. Signal Processing 64 (2016), for the
@@ -16,10 +16,11 @@ direction and a gain of its own, all are used together. A channel's paths are fo
 Polishing is an addition to the published algorithm: two paths inside a resolution cell couple
 so strongly that cycling alone leaves a residual, in which further paths would be detected.
 
-Data enter only through correlations at the current points, and paths interact through
-Dirichlet kernels, so that a cycle over K paths costs of the order of K^2, not K times
-the number of tones. All channels of a batch advance together: in round k each channel still
-in work has k paths.
+Data enter only through correlations at the current points, which are interpolated between those of one FFT
+(:mod:`estimator.channel.interpolation`), and paths interact through Dirichlet kernels: a cycle over K paths
+costs of the order of K^2, not K times the number of tones. A channel with K paths takes K searches of the
+grid, each of K times its points, and K^4 operations for the joint steps; memory is that of the grid. Channels
+are independent of each other: a batch is a loop.
 
 *Variance.* Each coordinate gets the Cramer-Rao bound of all found paths together, with
 unknown gains, and two terms for what was not resolved, both from the level of the residual around
@@ -32,18 +33,18 @@ tells of displacements of the order of ``sqrt(e)`` cells, which is what is claim
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.arrays import AntennaArray
-from estimator.channel.atoms import SeparableAtoms
-from estimator.channel.bounds import point_covariance
+from estimator.channel.atoms import atoms_of
 from estimator.channel.detection import delay_length, detection_threshold
 from estimator.channel.directions import Directions, directions
-from estimator.channel.refinement import Fit, cycle, newton_step, polish, widely_spaced
+from estimator.channel.interpolation import SpectrumPlan
+from estimator.channel.pursuit import Pursuit, covariances, pursue
+from estimator.channel.refinement import Channel, Refinement
 from estimator.channel.search import PeakSearch
 from estimator.errors import ConfigurationError, InputError
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
@@ -52,9 +53,6 @@ __all__ = ["DelayEstimate", "NompConfig", "NompPlan", "estimate_delays", "estima
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-_NEIGHBOURHOOD_CELLS = np.array([-2.0, -1.0, 1.0, 2.0])  # where the residual's level is taken
-_SIGNIFICANT_LEVEL = 3.0  # of the residual, over the noise: four standard deviations of its mean
 
 
 @dataclass(frozen=True)
@@ -163,7 +161,9 @@ class NompPlan:
         shape, spacings = ((), ()) if array is None else (array.shape, array.spacings)
         if min(shape, default=2) < 2:
             raise ConfigurationError(f"array: expected at least 2 elements on each axis, got {shape}")
-        self._atoms = SeparableAtoms(grid.tones, shape)
+        self._atoms = atoms_of(grid.tones, shape)
+        self._spectra = SpectrumPlan(grid.tones)
+        self._limits = Refinement(self.config.closest_cells)
         self._search = PeakSearch(grid.tones, shape, spacings, self.config.oversampling)
         reach = [1.0, *(min(2.0 * spacing, 1.0) for spacing in spacings)]
         self._lengths = [delay_length(n, turns) for n, turns in zip((grid.tones, *shape), reach, strict=True)]
@@ -175,8 +175,6 @@ class NompPlan:
 
     def estimate(self, cfr: ArrayLike, noise_variance: ArrayLike) -> list[DelayEstimate]:
         """Estimate the paths of a batch of channels.
-
-        Batches of about 64 are fastest; larger ones fall out of the processor's caches.
 
         Parameters
         ----------
@@ -216,103 +214,48 @@ class NompPlan:
         if not np.all((noise > 0.0) & np.isfinite(noise)):
             raise InputError(f"noise_variance: expected positive numbers, got {noise.min()}")
         count = channels.shape[1] if snapshots else 1
-        data = channels.reshape(len(channels), count, self._atoms.antennas, self.grid.tones)
-        found: dict[int, DelayEstimate] = {}
-        for fit in self._pursue(data, np.broadcast_to(noise, channels.shape[:1])):
-            for same in self._without_duplicates(fit):
-                polished = polish(self._atoms, same, self.config.final_steps, self.config.closest_cells)
-                found.update(self._report(polished, snapshots))
-        return [found[i] if i in found else self._nothing(count, snapshots) for i in range(len(channels))]
+        data = channels.reshape(len(channels), count, self._atoms.places.shape[0], self.grid.tones)
+        variances = np.broadcast_to(noise, channels.shape[:1]).tolist()
+        return [self._one(*each, snapshots) for each in zip(data, variances, strict=True)]
 
-    def _pursue(self, data: Complex, noise: Real) -> Iterator[Fit]:
-        """Find the paths of all channels, one more in each round; yield those that are done."""
-        config, (channels, snapshots) = self.config, data.shape[:2]
-        if channels == 0:
-            return
-        threshold = self.threshold(snapshots)
-        range_ratio = 10.0 ** (-(config.dynamic_range_db + config.margin_db) / 10.0)
-        points = np.zeros((channels, 0, self._atoms.axes))
-        gains = np.zeros((channels, snapshots, 0), dtype=np.complex128)
-        fit = Fit(np.arange(channels), data, self._atoms.split(data), noise, points, gains)
-        for number in range(config.max_paths):
-            point, gain = self._detect(fit)
-            strongest = np.max(fit.power, axis=1, initial=0.0)
-            power = np.mean(np.abs(gain) ** 2, axis=1)
-            energy = snapshots * power * self._atoms.energy
-            more = (energy > threshold * fit.noise_variance) & (power > strongest * range_ratio)
-            if number > 0 and not np.all(more):
-                yield fit.take(~more)
-            if not np.any(more):
-                return
-            fit = fit.take(
-                more,
-                np.concatenate([fit.points, point[:, None]], axis=1)[more],
-                np.concatenate([fit.gain, gain[..., None]], axis=2)[more],
-            )
-            fit = cycle(self._atoms, fit, config.cycles)
-            fit = polish(self._atoms, fit, config.polish_steps, config.closest_cells)
-        yield fit
+    def _one(self, data: Complex, noise: float, snapshots: bool) -> DelayEstimate:
+        """The paths of a channel (S, antennas, tones)."""
+        config, count = self.config, len(data)
+        settings = Pursuit(
+            least_energy=self.threshold(count) * noise,
+            range_ratio=10.0 ** (-(config.dynamic_range_db + config.margin_db) / 10.0),
+            max_paths=config.max_paths,
+            newton_steps=config.newton_steps,
+            cycles=config.cycles,
+            polish_steps=config.polish_steps,
+            final_steps=config.final_steps,
+        )
+        work = np.empty((*data.shape[:2], 3), dtype=np.complex128)
+        channel = Channel(self._atoms, self._spectra.of(data), work)
+        points, gain = pursue(channel, self._search.grid, self._search.of(data), settings, self._limits)
+        if len(points) == 0:
+            return self._nothing(count, snapshots)
+        return self._report(points, gain, covariances(channel, points, gain, noise), snapshots)
 
-    def _detect(self, fit: Fit) -> tuple[Real, Complex]:
-        """The strongest point in each residual, shape (C, D), and its gains, (C, S)."""
-        residual = fit.residual(self._atoms)
-        points = self._search.find(residual)[:, None]
-        blocks = self._atoms.split(residual)
-        for _ in range(self.config.newton_steps):
-            points = points + newton_step(*self._atoms.correlate(blocks, points), self._atoms)
-        z = self._atoms.correlate(blocks, points)[0]
-        return points[:, 0], z[:, :, 0] / self._atoms.energy
-
-    def _without_duplicates(self, fit: Fit) -> Iterator[Fit]:
-        """Drop paths too close to stronger ones; channels come grouped by what is left."""
-        kept = widely_spaced(self._atoms, fit, self.config.closest_cells)
-        count = np.sum(kept, axis=1)
-        for number in np.unique(count):
-            rows = count == number
-            chosen = np.nonzero(kept[rows])[1].reshape(-1, number)
-            yield fit.take(
-                rows,
-                np.take_along_axis(fit.points[rows], chosen[..., None], axis=1),
-                np.take_along_axis(fit.gain[rows], chosen[:, None], axis=2),
-            )
-
-    def _covariance(self, fit: Fit) -> Real:
-        """Covariances (C, K, D, D) of delays (s) and components of directions."""
-        atoms, noise = self._atoms, fit.noise_variance[:, None]
-        bound = point_covariance(atoms, fit.points, fit.gain, fit.noise_variance)
-        offset = np.zeros((len(_NEIGHBOURHOOD_CELLS), atoms.axes))
-        offset[:, 0] = _NEIGHBOURHOOD_CELLS / self.grid.tones
-        around = fit.points[:, :, None] + offset
-        z = atoms.correlate(atoms.split(fit.residual(atoms)), around.reshape(len(around), -1, atoms.axes))[0]
-        energy = np.mean(np.abs(z) ** 2, axis=1).reshape(around.shape[:3])
-        level = np.mean(energy, axis=2) / atoms.energy
-        excess = np.maximum(0.0, level - _SIGNIFICANT_LEVEL * noise) / atoms.energy
-        cells2 = np.sqrt(excess / fit.power)
-        floors = np.full(atoms.axes, self.config.floor_rad)
+    def _report(self, points: Real, gain: Complex, claimed: Real, snapshots: bool) -> DelayEstimate:
+        """Paths in the dynamic range, in ascending order of delay, points in the first turn."""
+        axes = points.shape[1]
+        floors = np.full(axes, self.config.floor_rad)
         floors[0] = self.config.floor_m / SPEED_OF_LIGHT_M_S
-        unit = np.eye(atoms.axes)
-        claimed = bound * np.maximum(1.0, level / noise)[..., None, None]
-        claimed = claimed + cells2[..., None, None] * unit / atoms.sizes**2
-        return np.asarray(claimed / np.outer(self._scale, self._scale) + floors**2 * unit)
-
-    def _report(self, fit: Fit, snapshots: bool) -> Iterator[tuple[int, DelayEstimate]]:
-        """Estimates by channel: paths in the dynamic range, sorted, points in the first turn."""
-        covariance = self._covariance(fit)
-        turns = np.floor(fit.points + np.array([0.0] + [0.5] * (self._atoms.axes - 1)))
-        points = fit.points - turns
-        flips = np.sum(turns * (self._atoms.sizes % 2 == 0), axis=-1)  # half-integer numbers: a turn is -1
-        gain = fit.gain * (1.0 - 2.0 * np.mod(flips, 2.0))[:, None]
-        power_db = 10.0 * np.log10(fit.power)
-        reported = power_db >= np.max(power_db, axis=1, keepdims=True) - self.config.dynamic_range_db
-        for row, index in enumerate(fit.index):
-            chosen = np.flatnonzero(reported[row])
-            chosen = chosen[np.argsort(points[row, chosen, 0], kind="stable")]
-            value, spread = points[row, chosen] / self._scale, covariance[row, chosen]
-            found = None
-            if self.array is not None:
-                found = directions(self.array, value[:, 1:], spread[:, 1:, 1:])
-            own = gain[row][:, chosen] if snapshots else gain[row, 0, chosen]
-            yield int(index), DelayEstimate(value[:, 0], own, spread[:, 0, 0], found)
+        covariance = claimed / np.outer(self._scale, self._scale) + floors**2 * np.eye(axes)
+        turns = np.floor(points + np.array([0.0] + [0.5] * (axes - 1)))
+        points = points - turns
+        flips = np.sum(turns * (self._atoms.sizes % 2 == 0), axis=1)  # half-integer numbers: a turn is -1
+        gain = gain * (1.0 - 2.0 * np.mod(flips, 2.0))
+        power_db = 10.0 * np.log10(np.mean(np.abs(gain) ** 2, axis=0))
+        chosen = np.flatnonzero(power_db >= power_db.max() - self.config.dynamic_range_db)
+        chosen = chosen[np.argsort(points[chosen, 0], kind="stable")]
+        value, spread = points[chosen] / self._scale, covariance[chosen]
+        found = None
+        if self.array is not None:
+            found = directions(self.array, value[:, 1:], spread[:, 1:, 1:])
+        own = gain[:, chosen] if snapshots else gain[0, chosen]
+        return DelayEstimate(value[:, 0], own, spread[:, 0, 0], found)
 
     def _nothing(self, snapshots: int, with_axis: bool) -> DelayEstimate:
         """The estimate of a channel without paths."""

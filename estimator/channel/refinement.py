@@ -1,246 +1,299 @@
-"""Refining the paths of a batch of channels that have equally many each.
+"""Refining the paths of a channel: Newton steps one by one, and joint scoring.
 
-A :class:`Fit` holds C channels with K paths each, points with D coordinates (delay, and directions; see
-:mod:`estimator.channel.atoms`) and gains in S snapshots. Two refinements raise the energy that the atoms
-explain: :func:`cycle`, Newton steps of one path after the other as NOMP has
-them, cheap and robust from a rough start; and :func:`polish`, joint Fisher scoring of all
-points, which converges where paths are closer than the resolution and cycling crawls.
-Both use the data through correlations at the current points alone.
+Two refinements raise the energy that the atoms explain: :func:`cycle`, Newton steps of one path after the
+other as NOMP has them, cheap and robust from a rough start; and :func:`polish`, joint Fisher scoring of all
+points, which converges where paths are closer than the resolution and cycling crawls. Both use the data
+through correlations at the current points alone.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.channel.atoms import SeparableAtoms
-from estimator.channel.model import ToneBlocks
+from estimator.channel.atoms import (
+    Atoms,
+    Kernels,
+    correlate,
+    information,
+    inner_products,
+    kernel_at,
+    spacing,
+)
+from estimator.channel.interpolation import Spectra
+from estimator.channel.linear import factorise, solve
+from estimator.compiled import compiled
 
-__all__ = ["Fit", "cycle", "newton_step", "polish", "widely_spaced"]
+__all__ = ["Channel", "Refinement", "cycle", "newton", "polish", "residual_correlation"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Rows = NDArray[np.bool_]
-
-_NEWTON_LIMIT_CELLS = 0.25
-_SCORING_LIMIT_CELLS = 0.5
-_CONVERGED_CELLS = 1e-4
-_DAMPING_RANGE = (1e-9, 1e3)
-_RIDGE = 1e-10  # keeps coinciding paths solvable
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """Channels and the paths found in them.
+class Channel(NamedTuple):
+    """One channel; compiled functions take it as it is.
 
     Parameters
     ----------
-    index : ndarray of int, shape (C,)
-        Which channel each row is.
-    data : ndarray of complex128, shape (C, S, antennas, tones)
-        The CFRs.
-    blocks : ToneBlocks
-        The same, prepared for correlation.
-    noise_variance : ndarray, shape (C,)
-        Noise variance per tone and antenna.
-    points : ndarray, shape (C, K, D)
-        Paths, in turns along each axis.
-    gain : ndarray of complex128, shape (C, S, K)
-        Gains.
+    atoms : Atoms
+        What its samples are.
+    spectra : Spectra
+        Its correlations on a grid.
+    work : ndarray of complex128, shape (S, antennas, 3)
+        Overwritten.
     """
 
-    index: NDArray[np.intp]
-    data: Complex
-    blocks: ToneBlocks
-    noise_variance: Real
-    points: Real
-    gain: Complex
-
-    def take(self, rows: Rows, points: Real | None = None, gain: Complex | None = None) -> Fit:
-        """A selection of the channels, with other paths where ``points`` and ``gain`` are given."""
-        return Fit(
-            self.index[rows],
-            self.data[rows],
-            self.blocks.take(rows),
-            self.noise_variance[rows],
-            self.points[rows] if points is None else points,
-            self.gain[rows] if gain is None else gain,
-        )
-
-    def with_paths(self, points: Real, gain: Complex) -> Fit:
-        """The same channels with other paths."""
-        return Fit(self.index, self.data, self.blocks, self.noise_variance, points, gain)
-
-    def residual(self, atoms: SeparableAtoms) -> Complex:
-        """What the paths leave of the data, shape (C, S, antennas, tones)."""
-        return np.asarray(self.data - atoms.synthesise(self.points, self.gain))
-
-    @property
-    def power(self) -> Real:
-        """Mean power of every path over the snapshots, shape (C, K)."""
-        return np.asarray(np.mean(np.abs(self.gain) ** 2, axis=1))
+    atoms: Atoms
+    spectra: Spectra
+    work: Complex
 
 
-def widely_spaced(atoms: SeparableAtoms, fit: Fit, closest_cells: float) -> Rows:
-    """Paths, shape (C, K), that have no stronger kept path within ``closest_cells`` on all axes."""
-    rank = np.argsort(-fit.power, axis=1, kind="stable")
-    close = atoms.spacing(np.take_along_axis(fit.points, rank[..., None], axis=1)) < closest_cells
-    kept = np.ones(rank.shape, dtype=bool)
-    for k in range(1, rank.shape[1]):
-        kept[:, k] = ~np.any(kept[:, :k] & close[:, k, :k], axis=1)
-    unranked = np.empty_like(kept)
-    np.put_along_axis(unranked, rank, kept, axis=1)
-    return unranked
-
-
-def newton_step(z: Complex, slope: Complex, curvature: Complex, atoms: SeparableAtoms) -> Real:
-    """Newton step of each coordinate towards the maximum of ``sum_s |z_s(x)|^2``; zero where it is convex.
+class Refinement(NamedTuple):
+    """Settings of both refinements.
 
     Parameters
     ----------
-    z, slope, curvature : ndarray of complex128, shapes (C, S, K) and (C, S, D, K)
-        Correlations, see :meth:`SeparableAtoms.correlate`.
-    atoms : SeparableAtoms
-        The axes.
-
-    Returns
-    -------
-    ndarray, shape (C, K, D)
-        Turns.
+    closest_cells : float
+        Smallest distance of paths, resolution cells.
+    newton_limit_cells, scoring_limit_cells : float
+        Longest step of a coordinate of one path, and of all together, resolution cells.
+    converged_cells : float
+        Joint steps end where none is longer, resolution cells.
+    damping, least_damping, most_damping : float
+        Of joint steps (Levenberg-Marquardt): at first, and its limits.
+    ridge : float
+        Added to the norms of atoms, relative: keeps coinciding paths solvable.
     """
-    z = z[:, :, None]
-    first = np.sum(np.real(np.conj(z) * slope), axis=1)
-    second = np.sum(np.abs(slope) ** 2 + np.real(np.conj(z) * curvature), axis=1)
-    concave = second < 0.0
-    step = -first / np.where(concave, second, -1.0)
-    limit = _NEWTON_LIMIT_CELLS / atoms.sizes[:, None]
-    return np.swapaxes(np.where(concave, np.clip(step, -limit, limit), 0.0), 1, 2)
+
+    closest_cells: float
+    newton_limit_cells: float = 0.25
+    scoring_limit_cells: float = 0.5
+    converged_cells: float = 1e-4
+    damping: float = 1e-3
+    least_damping: float = 1e-9
+    most_damping: float = 1e3
+    ridge: float = 1e-10
 
 
-def _solve(matrix: Real, right: Real | Complex) -> NDArray[np.complex128]:
-    """Solutions of (C, n, n) for right sides (C, S, n)."""
-    return np.asarray(np.swapaxes(np.linalg.solve(matrix, np.swapaxes(right, 1, 2)), 1, 2))
+@compiled
+def residual_correlation(
+    channel: Channel, points: Real, gain: Complex, without: int, point: Real, out: Complex
+) -> None:
+    """Correlation of what paths leave of a channel with the atom of a point, and its derivatives.
+
+    Parameters
+    ----------
+    channel : Channel
+        The channel.
+    points, gain : ndarray, shape (K, D) and (S, K)
+        Paths.
+    without : int
+        A path that is left in the channel; -1 for none.
+    point : ndarray, shape (D,)
+        Where, turns.
+    out : ndarray of complex128, shape (S, 1 + 2 D)
+        As of :func:`estimator.channel.atoms.correlate`.
+    """
+    axes = point.size
+    slope, curvature = np.empty(axes), np.empty((axes, axes))
+    correlate(channel.atoms, channel.spectra, point, channel.work, out)
+    for k in range(points.shape[0]):
+        if k == without:
+            continue
+        value = kernel_at(channel.atoms.sizes, point, points[k], slope, curvature)
+        for s in range(out.shape[0]):
+            out[s, 0] -= gain[s, k] * value
+            for d in range(axes):
+                out[s, 1 + d] -= gain[s, k] * slope[d]
+                out[s, 1 + axes + d] -= gain[s, k] * curvature[d, d]
 
 
-def cycle(atoms: SeparableAtoms, fit: Fit, rounds: int) -> Fit:
-    """Newton steps of every path in turn against the residual of the others.
+@compiled
+def newton(atoms: Atoms, values: Complex, limit_cells: float, step: Real) -> None:
+    """Newton step (D,) of each coordinate towards the maximum of ``sum_s |z_s(x)|^2``; 0 where it is convex.
+
+    Parameters
+    ----------
+    atoms : Atoms
+        The samples.
+    values : ndarray of complex128, shape (S, 1 + 2 D)
+        Correlations, see :func:`estimator.channel.atoms.correlate`.
+    limit_cells : float
+        Longest step, resolution cells.
+    step : ndarray, shape (D,)
+        Where it goes, turns.
+    """
+    axes = step.size
+    for d in range(axes):
+        first, second = 0.0, 0.0
+        for s in range(values.shape[0]):
+            z, slope, curvature = values[s, 0], values[s, 1 + d], values[s, 1 + axes + d]
+            first += z.real * slope.real + z.imag * slope.imag
+            second += slope.real**2 + slope.imag**2 + z.real * curvature.real + z.imag * curvature.imag
+        limit = limit_cells / atoms.sizes[d]
+        step[d] = min(max(-first / second, -limit), limit) if second < 0.0 else 0.0
+
+
+@compiled
+def cycle(channel: Channel, points: Real, gain: Complex, rounds: int, settings: Refinement) -> None:
+    """Newton steps of every path in turn against the residual of the others, in place.
 
     Each round ends with the joint least squares of the gains.
 
     Parameters
     ----------
-    atoms : SeparableAtoms
-        Atoms on the axes of ``fit``.
-    fit : Fit
-        Channels with at least one path.
+    channel : Channel
+        The channel.
+    points, gain : ndarray, shape (K, D) and (S, K)
+        Its paths, at least one.
     rounds : int
         Rounds over all paths.
+    settings : Refinement
+        Limits.
+    """
+    atoms = channel.atoms
+    paths, axes = points.shape
+    values, step = np.empty((gain.shape[0], 1 + 2 * axes), np.complex128), np.empty(axes)
+    for _ in range(rounds):
+        for k in range(paths):
+            residual_correlation(channel, points, gain, k, points[k], values)
+            newton(atoms, values, settings.newton_limit_cells, step)
+            for s in range(gain.shape[0]):
+                z = values[s, 0]
+                for d in range(axes):
+                    z += step[d] * (values[s, 1 + d] + 0.5 * step[d] * values[s, 1 + axes + d])
+                gain[s, k] = z / atoms.energy
+            for d in range(axes):
+                points[k, d] += step[d]
+        kernel = inner_products(atoms.sizes, points).kernel
+        for k in range(paths):
+            kernel[k, k] += settings.ridge * atoms.energy
+        factorise(kernel)
+        right = np.empty((paths, gain.shape[0]), np.complex128)
+        for k in range(paths):
+            correlate(atoms, channel.spectra, points[k], channel.work, values)
+            for s in range(gain.shape[0]):
+                right[k, s] = values[s, 0]
+        solve(kernel, right)
+        for k in range(paths):
+            for s in range(gain.shape[0]):
+                gain[s, k] = right[k, s]
+
+
+@compiled
+def _project(channel: Channel, points: Real, gain: Complex, gradient: Real) -> tuple[float, Kernels, Real]:
+    """Least squares of the gains and half the gradient of the energy that they explain, in place.
 
     Returns
     -------
-    Fit
+    energy : float
+    kernels : Kernels
+        Of the points.
+    upper : ndarray, shape (K, K)
+        Cholesky's factor of their Gram matrix.
     """
-    points, gain = fit.points.copy(), fit.gain.copy()
-    paths = points.shape[1]
-    for _ in range(rounds):
-        correlations = atoms.correlate(fit.blocks, points)
+    paths, axes = points.shape
+    snapshots = gain.shape[0]
+    values = np.empty((paths, snapshots, 1 + 2 * axes), np.complex128)
+    right = np.empty((paths, snapshots), np.complex128)
+    for k in range(paths):
+        correlate(channel.atoms, channel.spectra, points[k], channel.work, values[k])
+        for s in range(snapshots):
+            right[k, s] = values[k, s, 0]
+    kernels = inner_products(channel.atoms.sizes, points)
+    upper = kernels.kernel.copy()
+    factorise(upper)
+    solve(upper, right)
+    energy = 0.0
+    for k in range(paths):
+        for s in range(snapshots):
+            gain[s, k] = right[k, s]
+            energy += right[k, s].real * values[k, s, 0].real + right[k, s].imag * values[k, s, 0].imag
+    for d in range(axes):
         for k in range(paths):
-            others = np.arange(paths) != k
-            near = atoms.kernels(points[:, k : k + 1, None] - points[:, None, others])
-            own = np.arange(atoms.axes)
-            z = correlations[0][:, :, k] - np.einsum("cl,csl->cs", near.kernel[:, 0], gain[:, :, others])
-            slope, curvature = (
-                correlation[..., k] - np.einsum("cdl,csl->csd", kernel[:, :, 0], gain[:, :, others])
-                for correlation, kernel in zip(
-                    correlations[1:], (near.slope, near.curvature[:, own, own]), strict=True
-                )
-            )
-            step = newton_step(z[..., None], slope[..., None], curvature[..., None], atoms)[:, 0]
-            points[:, k] += step
-            by = step[:, None]
-            gain[:, :, k] = (z + np.sum(by * (slope + 0.5 * by * curvature), axis=-1)) / atoms.energy
-        z = atoms.correlate(fit.blocks, points)[0]
-        kernel = atoms.kernels(points[:, :, None] - points[:, None]).kernel
-        gain = _solve(kernel + _RIDGE * atoms.energy * np.eye(paths), z)
-    return fit.with_paths(points, gain)
+            total = 0.0
+            for s in range(snapshots):
+                left = values[k, s, 1 + d]
+                for j in range(paths):
+                    left -= kernels.slope[d, k, j] * gain[s, j]
+                total += gain[s, k].real * left.real + gain[s, k].imag * left.imag
+            gradient[d * paths + k] = total
+    return energy, kernels, upper
 
 
-@dataclass(frozen=True, eq=False)
-class _Projection:
-    """Least squares of the gains at given points, and what scoring needs besides."""
-
-    points: Real
-    gain: Complex
-    energy: Real  # the energy that the atoms explain, (C,)
-    gradient: Real  # half its gradient by the points, (C, D K), coordinates slowest
-    information: Real  # (C, D K, D K)
-
-    @classmethod
-    def at(cls, atoms: SeparableAtoms, blocks: ToneBlocks, points: Real) -> _Projection:
-        z, slope, _ = atoms.correlate(blocks, points)
-        kernels = atoms.kernels(points[:, :, None] - points[:, None])
-        gain = _solve(kernels.kernel, z)
-        energy = np.real(np.sum(np.conj(gain) * z, axis=(1, 2)))
-        left = slope - np.einsum("cdkl,csl->csdk", kernels.slope, gain)
-        gradient = np.real(np.sum(np.conj(gain)[:, :, None] * left, axis=1)).reshape(len(z), -1)
-        return cls(points, gain, energy, gradient, kernels.information(gain))
-
-    def where(self, rows: Rows, other: _Projection) -> _Projection:
-        """The rows of this one where ``rows`` is true, of ``other`` elsewhere."""
-        vector, matrix = rows[:, None], rows[:, None, None]
-        return _Projection(
-            np.where(matrix, self.points, other.points),
-            np.where(matrix, self.gain, other.gain),
-            np.where(rows, self.energy, other.energy),
-            np.where(vector, self.gradient, other.gradient),
-            np.where(matrix, self.information, other.information),
-        )
+@compiled
+def _spaced(atoms: Atoms, points: Real, closest_cells: float) -> bool:
+    """Whether no two points are closer."""
+    for k in range(points.shape[0]):
+        for j in range(k):
+            if spacing(atoms.sizes, points[k], points[j]) < closest_cells:
+                return False
+    return True
 
 
-def polish(atoms: SeparableAtoms, fit: Fit, steps: int, closest_cells: float) -> Fit:
-    """Joint Fisher scoring of all points, the gains eliminated (Levenberg-Marquardt damping).
+@compiled
+def polish(channel: Channel, points: Real, gain: Complex, steps: int, settings: Refinement) -> None:
+    """Joint Fisher scoring of all points, the gains eliminated (Levenberg-Marquardt damping), in place.
 
-    A step is taken in those channels where it raises the explained energy and leaves no two
-    paths closer than ``closest_cells``: closer, the pair would turn into a
-    derivative with opposite gains that fits what is not a path.
+    A step is taken if it raises the explained energy and leaves no two paths closer than
+    ``closest_cells``: closer, the pair would turn into a derivative with opposite gains that fits what
+    is not a path.
 
     Parameters
     ----------
-    atoms : SeparableAtoms
-        Atoms on the axes of ``fit``.
-    fit : Fit
-        Channels with at least one path, none closer than ``closest_cells``.
+    channel : Channel
+        The channel.
+    points, gain : ndarray, shape (K, D) and (S, K)
+        Its paths, at least one, none closer than ``closest_cells``.
     steps : int
         Largest number of steps.
-    closest_cells : float
-        Smallest distance of paths, resolution cells.
-
-    Returns
-    -------
-    Fit
+    settings : Refinement
+        Limits.
     """
-    channels, paths, axes = fit.points.shape
-    sizes = np.repeat(atoms.sizes, paths)
-    curvature = atoms.energy * (sizes**2 - 1.0) * np.pi**2 / 3.0  # minus the kernel's at 0
-    apart = 2.0 * closest_cells * np.eye(paths)
-    damping = np.full(channels, 1e-3)
-    active = np.ones(channels, dtype=bool)
-    best = _Projection.at(atoms, fit.blocks, fit.points)
-    for _ in range(steps):
-        power = np.tile(np.sum(np.abs(best.gain) ** 2, axis=1), (1, axes))
-        diagonal = damping[:, None] * np.maximum(curvature, atoms.energy) * power
-        damped = best.information + diagonal[:, :, None] * np.eye(axes * paths)
-        step = _solve(damped, best.gradient[:, None])[:, 0].real
-        step = np.clip(step, -_SCORING_LIMIT_CELLS / sizes, _SCORING_LIMIT_CELLS / sizes)
-        moved = best.points + np.swapaxes(step.reshape(channels, axes, paths), 1, 2)
-        spaced = np.min(atoms.spacing(moved) + apart, axis=(1, 2)) >= closest_cells
-        trial = _Projection.at(atoms, fit.blocks, np.where(spaced[:, None, None], moved, best.points))
-        better = active & spaced & (trial.energy >= best.energy)
-        best = trial.where(better, best)
-        damping = np.clip(np.where(better, 0.2 * damping, 10.0 * damping), *_DAMPING_RANGE)
-        active &= np.max(np.abs(step) * sizes, axis=1) > _CONVERGED_CELLS
-        if not np.any(active):
+    atoms, sizes = channel.atoms, channel.atoms.sizes
+    paths, axes = points.shape
+    gradient, moved, other = np.empty(axes * paths), np.empty_like(points), np.empty_like(gain)
+    step, trial = np.empty((axes * paths, 1)), np.empty(axes * paths)
+    matrix, damping, energy = np.zeros((axes * paths, axes * paths)), settings.damping, -1.0
+    for k in range(paths):
+        for d in range(axes):
+            moved[k, d] = points[k, d]
+    largest = np.inf
+    for number in range(steps + 1):
+        better = number == 0 or _spaced(atoms, moved, settings.closest_cells)
+        if better:
+            found, kernels, upper = _project(channel, moved, other, trial)
+            better = found >= energy
+            if better:
+                energy = found
+                for k in range(paths):
+                    for d in range(axes):
+                        points[k, d], gradient[d * paths + k] = moved[k, d], trial[d * paths + k]
+                    for s in range(gain.shape[0]):
+                        gain[s, k] = other[s, k]
+                matrix = information(kernels, upper, gain)
+        if number > 0:
+            damping *= 0.2 if better else 10.0
+            damping = min(max(damping, settings.least_damping), settings.most_damping)
+        if number == steps or largest <= settings.converged_cells:
             break
-    return fit.with_paths(best.points, best.gain)
+        damped = matrix.copy()
+        for d in range(axes):
+            curvature = atoms.energy * max((sizes[d] ** 2 - 1.0) * np.pi**2 / 3.0, 1.0)  # minus the kernel's
+            for k in range(paths):
+                i, power = d * paths + k, 0.0
+                for s in range(gain.shape[0]):
+                    power += gain[s, k].real ** 2 + gain[s, k].imag ** 2
+                damped[i, i] += damping * curvature * power
+                step[i, 0] = gradient[i]
+        factorise(damped)
+        solve(damped, step)
+        largest = 0.0
+        for d in range(axes):
+            limit = settings.scoring_limit_cells / sizes[d]
+            for k in range(paths):
+                by = min(max(step[d * paths + k, 0], -limit), limit)
+                moved[k, d] = points[k, d] + by
+                largest = max(largest, abs(by) * sizes[d])

@@ -20,7 +20,7 @@ from service.bench.slam_rows import growth_rows, request_rows, step_rows
 __all__ = ["rows"]
 
 _BATCH, _PATHS, _FITS = 64, 15, 1000
-_NOMP_BAR_MS = 15.0
+_NOMP_BAR_MS = 4.0
 _GRID = OfdmGrid(28e9, 120e3, 3276, comb=4, symbols=14)
 
 

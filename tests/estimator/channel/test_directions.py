@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from estimator.arrays import AntennaArray, UniformLinearArray, UniformPlanarArray
-from estimator.channel.atoms import SeparableAtoms
+from estimator.channel.atoms import atoms_of, correlate, inner_products
 from estimator.channel.bounds import delay_direction_covariance, joint_delay_variance
 from estimator.channel.detection import delay_length, detection_threshold, false_alarm_probability
 from estimator.channel.directions import directions
+from estimator.channel.interpolation import SpectrumPlan
 from estimator.channel.model import delay_atoms
 from estimator.channel.nomp import NompConfig, NompPlan, estimate_paths
 from estimator.errors import ConfigurationError, InputError
@@ -84,24 +85,26 @@ def test_derivatives_of_correlations_agree_with_differences(name: str) -> None:
     """Correlations are the inner products with atoms; slopes and curvatures are their differences."""
     rng = np.random.default_rng([SEED, 2])
     array = ARRAYS[name]
-    atoms = SeparableAtoms(GRID.tones, array.shape)
-    points = rng.uniform(-0.4, 0.4, (2, 3, atoms.axes))
-    shape = (2, 2, atoms.antennas, GRID.tones)
-    data = rng.normal(size=shape) + 1j * rng.normal(size=shape)
-    blocks = atoms.split(data)
-    z, slope, curvature = atoms.correlate(blocks, points)
-    for k in range(3):
-        unit = np.zeros((2, 1, 3), dtype=complex)
-        unit[..., k] = 1.0
-        expected = np.sum(atoms.synthesise(points, unit).conj() * data, axis=(2, 3))
-        np.testing.assert_allclose(z[:, :, k], expected, rtol=1e-10)
-    for d in range(atoms.axes):
-        h = 1e-5 / atoms.sizes[d] * np.eye(atoms.axes)[d]
-        ahead, behind = atoms.correlate(blocks, points + h), atoms.correlate(blocks, points - h)
-        step = 2.0 * h[d]
-        np.testing.assert_allclose((ahead[0] - behind[0]) / step, slope[:, :, d], rtol=1e-5)
-        second = (ahead[1][:, :, d] - behind[1][:, :, d]) / step
-        np.testing.assert_allclose(second, curvature[:, :, d], rtol=1e-5)
+    atoms = atoms_of(GRID.tones, array.shape)
+    axes, antennas = len(atoms.sizes), len(atoms.places)
+    data = rng.normal(size=(2, antennas, GRID.tones)) + 1j * rng.normal(size=(2, antennas, GRID.tones))
+    spectra, work = SpectrumPlan(GRID.tones).of(data), np.empty((2, antennas, 3), dtype=complex)
+    numbers = np.arange(GRID.tones) - 0.5 * (GRID.tones - 1.0)
+
+    def found(point):
+        out = np.empty((2, 1 + 2 * axes), dtype=complex)
+        correlate(atoms, spectra, point, work, out)
+        return out[:, 0], out[:, 1 : 1 + axes], out[:, 1 + axes :]
+
+    for point in rng.uniform(-0.4, 0.4, (3, axes)):
+        z, slope, curvature = found(point)
+        atom = np.exp(2j * np.pi * (atoms.places @ point[1:])[:, None] + 2j * np.pi * numbers * point[0])
+        np.testing.assert_allclose(z, np.sum(atom * data, axis=(1, 2)), rtol=1e-10)
+        for d in range(axes):
+            h = 1e-5 / atoms.sizes[d] * np.eye(axes)[d]
+            ahead, behind, step = found(point + h), found(point - h), 2.0 * h[d]
+            np.testing.assert_allclose((ahead[0] - behind[0]) / step, slope[:, d], rtol=1e-5)
+            np.testing.assert_allclose((ahead[1][:, d] - behind[1][:, d]) / step, curvature[:, d], rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ARRAYS)
@@ -109,10 +112,12 @@ def test_derivatives_of_kernels_agree_with_complex_steps(name: str) -> None:
     """The Gram matrix is the sum of cosines over all samples; its derivatives are complex steps of that."""
     rng = np.random.default_rng([SEED, 8])
     array = ARRAYS[name]
-    atoms = SeparableAtoms(16, array.shape)
-    places = np.indices(tuple(atoms.sizes)).reshape(atoms.axes, -1) - 0.5 * (atoms.sizes[:, None] - 1.0)
-    difference = rng.uniform(-0.3, 0.3, (4, 4, atoms.axes))
-    found = atoms.kernels(difference)
+    sizes = atoms_of(16, array.shape).sizes
+    axes = len(sizes)
+    places = np.indices(tuple(sizes)).reshape(axes, -1) - 0.5 * (sizes[:, None] - 1.0)
+    points = rng.uniform(-0.15, 0.15, (4, axes))
+    difference = points[:, None] - points
+    found = inner_products(sizes, points)
 
     def gram(x):
         return np.sum(np.cos(2.0 * np.pi * (x @ places)), axis=-1)
@@ -121,10 +126,10 @@ def test_derivatives_of_kernels_agree_with_complex_steps(name: str) -> None:
         return np.sum(-2.0 * np.pi * places[d] * np.sin(2.0 * np.pi * (x @ places)), axis=-1)
 
     np.testing.assert_allclose(found.kernel, gram(difference), atol=1e-9)
-    for d in range(atoms.axes):
-        stepped = difference + 1e-20j * np.eye(atoms.axes)[d]
+    for d in range(axes):
+        stepped = difference + 1e-20j * np.eye(axes)[d]
         np.testing.assert_allclose(found.slope[d], gram(stepped).imag / 1e-20, atol=1e-7)
-        for e in range(atoms.axes):
+        for e in range(axes):
             np.testing.assert_allclose(found.curvature[d, e], slope(stepped, e).imag / 1e-20, atol=1e-5)
 
 

@@ -112,6 +112,7 @@ def test_crowded_channels_are_taken_apart() -> None:
     np.testing.assert_allclose(np.array([e.gain for e in found]), gain[whole], atol=0.02)
 
 
+@pytest.mark.interpreted
 def test_dynamic_range_limits_what_is_reported() -> None:
     """Paths beyond the dynamic range are dropped, and do not disturb those reported."""
     rng = np.random.default_rng([SEED, 5])
@@ -146,6 +147,7 @@ def test_unresolved_energy_widens_the_claim() -> None:
     assert estimate.variance_s2[0] > 5.0 * estimate.variance_s2[1]
 
 
+@pytest.mark.interpreted
 @pytest.mark.parametrize("tones", [199, 200])
 def test_delays_around_the_turn_keep_delay_and_gain(tones: int) -> None:
     """A delay just above zero or below the longest is reported in range, and its atom fits the data."""
@@ -186,14 +188,20 @@ def test_an_empty_batch_is_no_error() -> None:
     assert estimate_delays(np.zeros((0, GRID.tones)), 1.0, GRID) == []
 
 
-def test_an_819_tone_channel_takes_less_than_50_ms() -> None:
-    """Sixty-four crowded 819-tone channels stay far below 50 ms each (3 ms measured)."""
+def test_an_819_tone_channel_takes_less_than_10_ms() -> None:
+    """Sixty-four crowded 819-tone channels, one by one and together: far below 10 ms each (1 ms measured)."""
     grid = OfdmGrid(28e9, 120e3, 3276, comb=4)
     cfr, _, _ = crowded(np.random.default_rng([SEED, 12]), grid, 64)
     plan = NompPlan(grid)
+    plan.estimate(cfr[:1], 1e-4)  # compiled or loaded
     start = time.process_time()
-    plan.estimate(cfr, 1e-4)
-    assert (time.process_time() - start) / 64 < 0.05
+    together = plan.estimate(cfr, 1e-4)
+    assert (time.process_time() - start) / 64 < 0.01
+    start = time.process_time()
+    alone = [plan.estimate(each[None], 1e-4)[0] for each in cfr]
+    assert (time.process_time() - start) / 64 < 0.01
+    for one, other in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(one.delay_s, other.delay_s)
 
 
 def test_bad_channels_are_refused() -> None:

@@ -28,7 +28,7 @@ def test_error_is_what_is_stated():
     """On a dense grid of the range and around its powers of two; near 0 the error is much less."""
     whole = -np.log(2.0) * np.arange(159) / 2.0
     edges = (whole[:, None] + 1e-4 * np.linspace(-1.0, 1.0, 101)).ravel()
-    x = np.concatenate([-np.linspace(0.0, 55.0, 2_000_001), edges])
+    x = np.concatenate([-np.linspace(0.0, 55.0, 200_001), edges])
     x = x[(x <= 0.0) & (x > -55.0)].astype(np.float32)
     error = np.abs(exponentials(x) / np.exp(x.astype(np.float64)) - 1.0)
     assert error.max() < EXP_RELATIVE_ERROR
