@@ -27,7 +27,7 @@ from estimator.result import SlamResult, load_result, save_result
 if TYPE_CHECKING:
     import xarray as xr
 
-    from estimator.evaluation import EvaluationConfig
+    from estimator.evaluation.comparison import EvaluationConfig
 
 __all__ = ["evaluate_file", "extract_file", "find_truth", "plot_file", "run_record", "slam_file"]
 
@@ -118,7 +118,7 @@ def slam_file(
 def evaluate_file(
     result: Path, truth: Path | None = None, config: EvaluationConfig | None = None
 ) -> dict[str, Any]:
-    """Compare a result file with the truth; see :func:`estimator.evaluation.evaluate`.
+    """Compare a result file with the truth; see :func:`estimator.evaluation.comparison.evaluate`.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def evaluate_file(
     InputError
         If the truth is that of another dataset.
     """
-    from estimator.evaluation import evaluate
+    from estimator.evaluation.comparison import evaluate
 
     loaded = load_result(result)
     return evaluate(
@@ -145,7 +145,7 @@ def evaluate_file(
 
 
 def plot_file(result: Path, out: Path, truth: Path | None = None, title: str | None = None) -> str | None:
-    """Draw a result file; see :func:`estimator.plots.draw_map`.
+    """Draw a result file; see :func:`estimator.evaluation.pictures.draw_map`.
 
     Parameters
     ----------
@@ -164,7 +164,11 @@ def plot_file(result: Path, out: Path, truth: Path | None = None, title: str | N
         Why the truth is not in the picture, if it is not: without an explicit ``truth``, a
         picture of the estimates alone is drawn where there is none.
     """
-    from estimator.plots import draw_map, require_picture_name, save_figure  # Matplotlib is slow to import
+    from estimator.evaluation.pictures import (  # Matplotlib is slow to import
+        draw_map,
+        require_picture_name,
+        save_figure,
+    )
 
     require_picture_name(out)
     loaded = load_result(result)

@@ -46,7 +46,7 @@ def register(app: typer.Typer) -> None:
         """Make a measurement file of ranges that were measured with known anchors."""
         from estimator.dataset import require_absent
         from estimator.measurements import save_measurements
-        from estimator.range_sets import load_ranges
+        from estimator.readers.range_sets import load_ranges
         from estimator.slam.run import config_for
 
         require_absent(out)

@@ -218,14 +218,14 @@ def _materials(pairs: list[str]) -> dict[str, str]:
 
 
 def _check_name(out: Path | None) -> None:
-    from estimator.plots import require_picture_name
+    from estimator.evaluation.pictures import require_picture_name
 
     if out is not None:
         require_picture_name(out)
 
 
 def _save(figure: Figure, out: Path | None, name: str) -> None:
-    from estimator.plots import save_figure
+    from estimator.evaluation.pictures import save_figure
 
     path = (
         Path(f"{''.join(c if c.isalnum() or c in '-_.' else '-' for c in name)}.png") if out is None else out

@@ -56,7 +56,7 @@ def run_demo(
     Returns
     -------
     dict
-        As :func:`estimator.evaluation.evaluate`, and ``seconds`` by stage.
+        As :func:`estimator.evaluation.comparison.evaluate`, and ``seconds`` by stage.
 
     Raises
     ------

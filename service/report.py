@@ -13,7 +13,7 @@ __all__ = ["print_evaluation", "print_inventory"]
 
 
 def print_evaluation(numbers: Mapping[str, Any], console: Console, **more: object) -> None:
-    """Print what :func:`estimator.evaluation.evaluate` gives, ``seconds`` by stage if there, and ``more``."""
+    """Print what :func:`estimator.evaluate` gives, ``seconds`` by stage if there, and ``more``."""
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")

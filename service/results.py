@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, Row
 
+from estimator.evaluation.wall_lines import line_points, line_std, seen_span
 from estimator.measurements import AnchorPaths, Epoch, save_measurements
 from estimator.result import SlamResult, save_result
 from estimator.slam.run import collect
-from estimator.walllines import line_points, line_std, seen_span
 from service.documents import read_epoch, read_estimate, read_sweep
 from service.errors import ConflictError
 from service.fold import measurement_set
@@ -77,7 +77,7 @@ def measurements_file(store: Store, row: Row[Any], connection: Connection) -> by
 
 def picture(result: SlamResult, title: str, suffix: str) -> bytes:
     """The map as a picture, ``"png"`` or ``"svg"``."""
-    from estimator.plots import draw_map, save_figure  # Matplotlib is slow to import
+    from estimator.evaluation.pictures import draw_map, save_figure  # Matplotlib is slow to import
 
     with TemporaryDirectory(prefix="hapslam-") as folder:
         file = Path(folder) / f"map.{suffix}"

@@ -10,12 +10,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from estimator.evaluation.picture_style import DASHES, MUTED, STYLE, colour_of, logarithmic, tidy
 from estimator.experiments.cases import Case, cases_of, limit_of
 from estimator.experiments.catalogue import Entry, Request
 from estimator.experiments.report import Report, Row, figure_text
 from estimator.experiments.runs import Run, Score, perform
 from estimator.experiments.summary import limit_curves, score_curves, summarise
-from estimator.plot_style import DASHES, MUTED, STYLE, colour_of, logarithmic, tidy
 
 __all__ = ["reproduce"]
 

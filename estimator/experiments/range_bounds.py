@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from estimator.evaluation.picture_style import AGENT, ANCHOR, DASHES, STYLE, WALL, logarithmic, tidy
 from estimator.experiments.catalogue import Entry, Request
 from estimator.experiments.ranging import PAPER_GRID
 from estimator.experiments.report import Report, Row
-from estimator.plot_style import AGENT, ANCHOR, DASHES, STYLE, WALL, logarithmic, tidy
 from estimator.sensing.ranges import EchoLaw, variance_exact, variance_honest, variance_published
 
 __all__ = ["reproduce"]

@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from estimator.evaluation.picture_style import AGENT, ANCHOR, STYLE, tidy
 from estimator.experiments.catalogue import Entry, Request
 from estimator.experiments.ranging import PAPER_GRID, range_errors
 from estimator.experiments.report import Report, Row, figure_text
 from estimator.experiments.summary import mean_of
-from estimator.plot_style import AGENT, ANCHOR, STYLE, tidy
 from estimator.sensing.ranges import variance_published
 
 __all__ = ["reproduce"]

@@ -11,7 +11,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from estimator.dataset import require_absent, write_text
-from estimator.plots import save_figure
+from estimator.evaluation.pictures import save_figure
 
 __all__ = ["SUFFIXES", "Report", "Row", "figure_text", "require_places", "write_report"]
 

@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from numpy.typing import ArrayLike, NDArray
 
+from estimator.evaluation.picture_style import AGENT, AGENT_TRUE, ANCHOR, ANCHOR_TRUE, TRUE, WALL, tidy
+from estimator.evaluation.wall_lines import line_points, seen_span
 from estimator.experiments.room import Room
-from estimator.plot_style import AGENT, AGENT_TRUE, ANCHOR, ANCHOR_TRUE, TRUE, WALL, tidy
 from estimator.result import SlamResult
-from estimator.walllines import line_points, seen_span
 
 __all__ = ["draw_ellipse", "draw_result", "draw_room"]
 

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from estimator.evaluation.picture_style import ANCHOR, DASHES, STYLE
 from estimator.experiments.cases import Case, cases_of, limit_of
 from estimator.experiments.catalogue import Entry, Request
 from estimator.experiments.report import Report, Row, figure_text
@@ -17,7 +18,6 @@ from estimator.experiments.room import Room
 from estimator.experiments.room_map import draw_ellipse, draw_result, draw_room
 from estimator.experiments.runs import Run, Score, watch
 from estimator.experiments.summary import summarise
-from estimator.plot_style import ANCHOR, DASHES, STYLE
 from estimator.result import SlamResult
 
 __all__ = ["reproduce"]

@@ -9,11 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import HapslamError
-from estimator.evaluation import EvaluationConfig
+from estimator.evaluation.comparison import EvaluationConfig
+from estimator.evaluation.metrics import (
+    best_rotation,
+    derotated,
+    distances,
+    gaps,
+    match,
+    match_of,
+    nees,
+    ospa_of,
+)
 from estimator.experiments.cases import Case
 from estimator.experiments.room import Room
 from estimator.measurements import MeasurementSet
-from estimator.metrics import best_rotation, derotated, distances, gaps, match, match_of, nees, ospa_of
 from estimator.result import SlamResult
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.run import config_for, run_slam

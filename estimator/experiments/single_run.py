@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from estimator.evaluation.picture_style import STYLE
 from estimator.experiments.cases import cases_of
 from estimator.experiments.catalogue import Entry, Request
 from estimator.experiments.report import Report, Row, figure_text
@@ -14,7 +15,6 @@ from estimator.experiments.room import Room
 from estimator.experiments.room_map import draw_result, draw_room
 from estimator.experiments.runs import Run, Score, watch
 from estimator.experiments.summary import summarise
-from estimator.plot_style import STYLE
 from estimator.result import SlamResult
 
 __all__ = ["reproduce"]

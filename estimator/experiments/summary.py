@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from estimator.evaluation.metrics import nees_band
 from estimator.experiments.room import Room
 from estimator.experiments.runs import Score
-from estimator.metrics import nees_band
 from estimator.slam.limits.bounds import Limit, expected_distance
 
 __all__ = ["CONVERGED_M", "converged_step", "limit_curves", "mean_of", "rms_of", "score_curves", "summarise"]

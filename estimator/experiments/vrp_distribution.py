@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from estimator.evaluation.picture_style import AGENT, ANCHOR, DASHES, STYLE, WALL, tidy
 from estimator.experiments.catalogue import Entry, Request
 from estimator.experiments.ranging import PAPER_GRID
 from estimator.experiments.report import Report, Row, figure_text
-from estimator.plot_style import AGENT, ANCHOR, DASHES, STYLE, WALL, tidy
 from estimator.sensing.linefit import fit_lines
 from estimator.sensing.ranges import EchoLaw, variance_published
 from estimator.sensing.uncertainty import average_pairs

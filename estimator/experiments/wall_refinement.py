@@ -11,7 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from estimator.evaluation import EvaluationConfig
+from estimator.evaluation.comparison import EvaluationConfig
+from estimator.evaluation.metrics import best_rotation, derotated, match
+from estimator.evaluation.picture_style import AGENT, ANCHOR, INK, MUTED, STYLE, WALL, tidy
 from estimator.experiments.cases import cases_of, limit_of
 from estimator.experiments.catalogue import Entry, Request
 from estimator.experiments.report import Report, Row, figure_text
@@ -21,8 +23,6 @@ from estimator.experiments.runs import Run, Score, watch
 from estimator.experiments.summary import mean_of, rms_of
 from estimator.geometry import mirror_in_wall
 from estimator.measurements import GaussianVrp
-from estimator.metrics import best_rotation, derotated, match
-from estimator.plot_style import AGENT, ANCHOR, INK, MUTED, STYLE, WALL, tidy
 from estimator.result import SlamResult
 from estimator.sensing.linefit import seen_from_reference
 from estimator.simulate import SimulationConfig, walls_in_view

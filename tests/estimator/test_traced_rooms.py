@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from estimator.dataset import open_dataset
-from estimator.evaluation import evaluate
+from estimator.evaluation.comparison import evaluate
 from estimator.extract import extract
 from estimator.measurements import MeasurementSet
 from estimator.slam import run_slam

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from estimator.metrics import best_rotation, derotated, nees
+from estimator.evaluation.metrics import best_rotation, derotated, nees
 from estimator.slam import run_many
 from estimator.specular import specular_paths
 from tests.estimator.slam.conftest import Room

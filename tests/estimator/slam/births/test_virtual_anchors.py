@@ -12,7 +12,7 @@ import pytest
 from estimator.errors import InputError
 from estimator.geometry import mirror
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
-from estimator.range_sets import load_ranges
+from estimator.readers.range_sets import load_ranges
 from estimator.slam import GaussianConfig, load_state, run_slam, save_state, start
 from estimator.slam.births.mirrors import Recent, search
 from estimator.slam.births.virtual_anchors import VirtualAnchors, implied_walls, vrp_by_image, vrp_of_image

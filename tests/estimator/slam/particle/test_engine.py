@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from estimator.errors import ConfigurationError, FileFormatError, InputError
+from estimator.evaluation.metrics import best_rotation, derotated, match
 from estimator.measurements import AnchorPaths, Epoch, MeasurementSet
-from estimator.metrics import best_rotation, derotated, match
 from estimator.slam import GaussianConfig, run_slam
 from estimator.slam.engine import Prior, epoch_rng
 from estimator.slam.methods import METHODS, PAIRS

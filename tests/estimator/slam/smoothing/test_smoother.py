@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from estimator.errors import ConfigurationError, InputError
+from estimator.evaluation.metrics import derotated
 from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
-from estimator.metrics import derotated
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_azimuths, predict_paths
 from estimator.slam.layout import Layout

@@ -10,8 +10,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2, kstest
 
 from estimator.errors import InputError
-from estimator.geometry import rotate
-from estimator.metrics import (
+from estimator.evaluation.metrics import (
     best_rotation,
     derotated,
     distances,
@@ -23,6 +22,7 @@ from estimator.metrics import (
     ospa,
     root_mean_square_error,
 )
+from estimator.geometry import rotate
 
 
 def brute_force_ospa(x: np.ndarray, y: np.ndarray, c: float, p: float) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimator.errors import FileFormatError, InputError
-from estimator.range_sets import load_ranges
+from estimator.readers.range_sets import load_ranges
 from estimator.slam.run import config_for
 
 RANGES = np.array([5.0, 6.0, 7.0, -0.01, 9.0])

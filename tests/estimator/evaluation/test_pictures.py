@@ -14,8 +14,8 @@ from matplotlib.image import imread
 from matplotlib.patches import Ellipse
 
 from estimator.errors import InputError, OutputExistsError
-from estimator.evaluation import read_truth
-from estimator.plots import draw_map, save_figure
+from estimator.evaluation.comparison import read_truth
+from estimator.evaluation.pictures import draw_map, save_figure
 from estimator.result import SlamResult
 
 Make = Callable[..., SlamResult]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from estimator.evaluation.wall_lines import line_points, line_std, seen_span
 from estimator.geometry import mirror
 from estimator.result import SlamResult
-from estimator.walllines import line_points, line_std, seen_span
 
 Make = Callable[..., SlamResult]
 

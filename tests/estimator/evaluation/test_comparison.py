@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 from estimator.errors import ConfigurationError, InputError
-from estimator.evaluation import EvaluationConfig, evaluate, read_truth
+from estimator.evaluation.comparison import EvaluationConfig, evaluate, read_truth
 from estimator.result import SlamResult
 
 Make = Callable[..., SlamResult]

@@ -23,10 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.dataset import publish, require_absent, temporary_name
 from estimator.errors import InputError
-from estimator.evaluation import Truth, read_truth
-from estimator.geometry import rotation_matrix, wall_normal
-from estimator.metrics import best_rotation, derotated, distances
-from estimator.plot_style import (
+from estimator.evaluation.comparison import Truth, read_truth
+from estimator.evaluation.metrics import best_rotation, derotated, distances
+from estimator.evaluation.picture_style import (
     AGENT,
     AGENT_TRUE,
     ANCHOR,
@@ -38,8 +37,9 @@ from estimator.plot_style import (
     TRUE,
     WALL,
 )
+from estimator.evaluation.wall_lines import line_points, line_std, seen_span
+from estimator.geometry import rotation_matrix, wall_normal
 from estimator.result import SlamResult
-from estimator.walllines import line_points, line_std, seen_span
 
 __all__ = ["draw_map", "require_picture_name", "save_figure"]
 

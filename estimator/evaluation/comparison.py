@@ -5,7 +5,7 @@ origin is the agent's start (RP) and whose x axis is the agent's heading there:
 
     p_estimator = R(-heading) (p_plan - start).
 
-Only this module and :mod:`estimator.plots` open the truth of a dataset.
+Only this module and :mod:`estimator.evaluation.pictures` open the truth of a dataset.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import ConfigurationError, InputError
-from estimator.geometry import mirror_in_wall, rotate
-from estimator.metrics import (
+from estimator.evaluation.metrics import (
     best_rotation,
     derotated,
     distances,
@@ -28,6 +27,7 @@ from estimator.metrics import (
     ospa,
     root_mean_square_error,
 )
+from estimator.geometry import mirror_in_wall, rotate
 from estimator.result import SlamResult
 
 if TYPE_CHECKING:
