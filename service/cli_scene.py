@@ -1,13 +1,16 @@
-"""The commands around floor plans: `scene check`, `show`, `random`, `import`, `schema`, and pictures."""
+"""The commands around floor plans: `scene check`, `inspect`, `import`, `random`, `schema`, and pictures."""
 
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from service.console import made_parents
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,8 +22,13 @@ _scene = typer.Typer(no_args_is_help=True, help="Floor plans: check, draw, make,
 Scene = Annotated[
     str, typer.Argument(metavar="FILE", help="Floor plan file, or the name of a shipped scene.")
 ]
-Picture = Annotated[Path | None, typer.Option(metavar="FILE", help="Picture to write: .png, .svg or .pdf.")]
-Plan = Annotated[Path, typer.Option(metavar="FILE", help="Floor plan to write (TOML).")]
+Picture = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Picture to write: .png, .svg or .pdf.", callback=made_parents),
+]
+Plan = Annotated[
+    Path, typer.Option(metavar="FILE", help="Floor plan to write (TOML).", callback=made_parents)
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 DatasetPath = Annotated[Path, typer.Argument(help="Dataset directory.")]
 
@@ -49,11 +57,13 @@ def check(scene: Scene, as_json: Json = False) -> None:
         _say(json.dumps(summary, indent=2, allow_nan=False))
         return
     for name, value in summary.items():
-        if name == "warnings":
+        if name in ("warnings", "repairs"):
             continue
         texts = [f"{k} {v}" for k, v in value.items()] if isinstance(value, dict) else value
         text = ", ".join(texts) if isinstance(texts, list) else texts
         _say(f"{name:<14} {text}")
+    for repair in summary["repairs"]:
+        _say(f"repaired       {repair}")
     for warning in summary["warnings"]:
         _say(f"warning        {warning}")
 
@@ -112,35 +122,106 @@ def random_(
     _say(f"{out}: {len(plan.walls)} walls, {len(plan.anchors)} anchors, {plan.agent.epochs} epochs")
 
 
+Drawn = Annotated[
+    Path,
+    typer.Argument(
+        help="Drawing: .dxf, .geojson, .json, .xml (Mitsuba), .ply, .obj, .stl, .glb or .gltf.",
+        metavar="FILE",
+    ),
+]
+Layers = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--layer", metavar="PATTERN=MATERIAL", help="Material of layers, features or objects; or =ignore."
+    ),
+]
+UnitOption = Annotated[
+    str | None, typer.Option("--unit", help="m, dm, cm, mm, in, ft, yd or km; by default the file's.")
+]
+Level = Annotated[str | None, typer.Option("--level", help="Level of a file that has several.")]
+Meshes = Annotated[
+    list[Path] | None,
+    typer.Option("--mesh", help="PLY file, or a folder of them, that a Mitsuba scene may use; no other."),
+]
+
+
+@_scene.command(
+    epilog=_examples("inspect flat.dxf", "inspect flat.dxf --out flat.png", "inspect mall.geojson --json")
+)
+def inspect(
+    file: Drawn,
+    out: Picture = None,
+    layer: Layers = None,
+    unit: UnitOption = None,
+    level: Level = None,
+    mesh: Meshes = None,
+    as_json: Json = False,
+) -> None:
+    """Tell what is in a drawing, and what an import would take for what; with --out, draw it."""
+    from raytrace.importers.inspection import draw_drawing, inspect_drawing
+    from raytrace.importers.options import ImportOptions
+
+    _check_name(out)
+    options = ImportOptions(materials=_materials(layer or []), unit=unit, level=level)
+    facts, drawing = inspect_drawing(file, options, tuple(mesh or ()))
+    if as_json:
+        _say(json.dumps(facts, indent=2, allow_nan=False))
+    else:
+        width, depth = facts["extent_m"]
+        _say(f"{'extent':<10} {width:g} m by {depth:g} m")
+        if facts["levels"]:
+            _say(f"{'levels':<10} {', '.join(facts['levels'])}")
+        for name, found in facts["layers"].items():
+            told = f"{found['lines']} lines, {found['length_m']:g} m, {found['taken_as']}"
+            _say(f"{'layer':<10} {name}: {told}")
+        for verb in ("kept", "dropped"):
+            for what, count in facts[verb].items():
+                _say(f"{verb:<10} {count:>6}  {what}")
+        for kind in ("note", "warning"):
+            for text in facts[f"{kind}s"]:
+                _say(f"{kind:<10} {text}")
+        if facts["problem"]:
+            _say(f"{'problem':<10} {facts['problem']}")
+    if out is not None:
+        _save(draw_drawing(drawing, file.name), out, file.stem)
+
+
 @_scene.command(
     "import",
     epilog=_examples(
         "import flat.dxf --out flat.toml",
         'import flat.dxf --layer "A-WALL*=brick" --layer "A-DOOR=wood" --unit mm --out flat.toml',
-        "import scene.xml --mesh meshes/walls.ply --out hall.toml",
+        "import mall.geojson --level 0 --out ground-floor.toml",
+        "import scene.xml --mesh meshes --out hall.toml",
+        'import flat.dxf --walk "1,1 5,1 5,4" --anchor 2,3,2.5 --anchor 6,1 --out flat.toml',
     ),
 )
 def import_(
-    file: Annotated[Path, typer.Argument(help="Drawing: .dxf, .geojson, .json, .xml (Mitsuba) or .ply.")],
+    file: Drawn,
     out: Plan,
-    layer: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PATTERN=MATERIAL", help="Material of layers, features or objects; or =ignore."),
-    ] = None,
+    layer: Layers = None,
     material: Annotated[str | None, typer.Option(help="Material of what nothing else tells.")] = None,
-    unit: Annotated[
-        str | None, typer.Option(help="m, dm, cm, mm, in, ft, yd or km; by default the file's.")
-    ] = None,
+    unit: UnitOption = None,
+    level: Level = None,
     height: Annotated[float, typer.Option(help="Height of walls that the file does not tell, metres.")] = 3.0,
     thickness: Annotated[float, typer.Option(help="Thickness of single lines, metres.")] = 0.2,
     thickest: Annotated[
         float, typer.Option(help="Parallel lines nearer than this are faces of one wall, metres.")
     ] = 0.5,
+    hatches: Annotated[bool, typer.Option("--hatches", help="Take outlines of hatches as walls.")] = False,
     cut: Annotated[float, typer.Option(help="Height at which models are cut, metres.")] = 1.2,
-    up: Annotated[str, typer.Option(help="Axis of a model that points upwards: z or y.")] = "z",
-    mesh: Annotated[
-        list[Path] | None, typer.Option(help="PLY file that a Mitsuba scene may use; no other is read.")
+    up: Annotated[
+        str | None, typer.Option(help="Axis of a model that points upwards, z or y; by default the format's.")
     ] = None,
+    walk: Annotated[
+        str, typer.Option(help='Way-points "x,y x,y ..." in metres of the plan, or auto.')
+    ] = "auto",
+    anchor: Annotated[
+        list[str] | None,
+        typer.Option(metavar="X,Y[,Z]", help="Anchor in metres of the plan, in place of others."),
+    ] = None,
+    space: Annotated[str, typer.Option(help="Where to walk: inside, outside or auto.")] = "auto",
+    mesh: Meshes = None,
     as_json: Json = False,
 ) -> None:
     """Make a floor plan of a drawing, and report what was kept, dropped and collapsed."""
@@ -159,11 +240,33 @@ def import_(
         thickest_m=thickest,
         cut_m=cut,
         up=up,  # type: ignore[arg-type]  # it checks
+        level=level,
+        hatches=hatches,
+        walk_m=()
+        if walk == "auto"
+        else tuple((x, y) for x, y, _ in (_point("--walk", text, 2) for text in walk.split())),
+        anchors_m=tuple(_point("--anchor", text, 3) for text in anchor or ()),
+        space=None if space == "auto" else space,  # type: ignore[arg-type]  # it checks
     )
     imported = import_floorplan(file, options, mesh or [])
     save_floorplan(imported.plan, out)
     report = imported.drawing.report
     _say(json.dumps(report.as_dict(), indent=2) if as_json else "\n".join(report.lines()))
+
+
+def _point(option: str, text: str, most: int) -> tuple[float, float, float]:
+    """``x,y`` or ``x,y,z`` as three numbers, the third 0 if it is missing; raises ConfigurationError."""
+    from estimator.errors import ConfigurationError
+
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not 2 <= len(numbers) <= most or not all(map(math.isfinite, numbers)):
+        wanted = "X,Y" if most == 2 else "X,Y or X,Y,Z"
+        raise ConfigurationError(f"{option}: expected {wanted} in metres, got {text!r}")
+    x, y, z = (*numbers, 0.0)[:3]
+    return x, y, z
 
 
 @_scene.command(epilog=_examples("schema > floorplan.schema.json"))

@@ -1,8 +1,9 @@
 """Drawings of other programs to floor plans, with a report of what became of everything.
 
 A file is read once, whole, and by its suffix: ``.dxf``, ``.geojson`` or ``.json``,
-``.xml`` (Mitsuba) and ``.ply``. Nothing else is opened: references to other files are
-reported, and meshes of a Mitsuba scene are given explicitly. Nothing in a file is run.
+``.xml`` (Mitsuba), ``.ply``, ``.obj``, ``.stl``, ``.glb`` and ``.gltf``. Nothing else is opened:
+references to other files are reported, and meshes of a Mitsuba scene are given explicitly. Nothing
+in a file is run.
 
 Lines then go the same way: double ones become one surface, ends are led to the walls
 they run into, and an agent and anchors are placed where the file marks none.
@@ -10,7 +11,7 @@ they run into, and an agent and anchors are placed where the file marks none.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from raytrace.importers.drawing import Drawing, ImportReport, Line, Point, requi
 from raytrace.importers.dxf import read_dxf
 from raytrace.importers.geojson import read_geojson
 from raytrace.importers.joins import join_ends
-from raytrace.importers.mesh import read_ply
+from raytrace.importers.mesh import read_model, read_ply
 from raytrace.importers.mitsuba import read_mitsuba
 from raytrace.importers.options import ImportOptions
 from raytrace.importers.units import questioned
@@ -37,7 +38,8 @@ from raytrace.plan.surfaces import Wall
 
 __all__ = ["SUFFIXES", "Imported", "floorplan_of", "import_floorplan", "read_drawing"]
 
-SUFFIXES = (".dxf", ".geojson", ".json", ".xml", ".ply")
+MODELS = (".obj", ".stl", ".glb", ".gltf")
+SUFFIXES = (".dxf", ".geojson", ".json", ".xml", ".ply", *MODELS)
 
 _MOST_WALLS = 20_000
 # Repairs of walls that are told one by one; and a space below this share of the plan is hardly the right one.
@@ -75,7 +77,7 @@ def import_floorplan(
     options : ImportOptions, optional
         How to read it.
     meshes : sequence of Path
-        PLY files that a Mitsuba scene may use.
+        PLY files that a Mitsuba scene may use, or folders of them.
 
     Raises
     ------
@@ -111,11 +113,25 @@ def read_drawing(path: Path, options: ImportOptions, meshes: Sequence[Path] = ()
     data = _read(path)
     if suffix == ".dxf":
         return read_dxf(data, options)
+    if suffix in MODELS:
+        return read_model(data, suffix, options)
     if suffix == ".ply":
         return read_ply(data, path.stem, options)
     if suffix == ".xml":
-        return read_mitsuba(data, options, {mesh.name: _read(mesh) for mesh in meshes})
+        return read_mitsuba(data, options, {mesh.name: _read(mesh) for mesh in _meshes(meshes)})
     return read_geojson(data, options)
+
+
+def _meshes(given: Sequence[Path]) -> Iterator[Path]:
+    """PLY files that were given, or lie in folders that were given."""
+    for path in given:
+        if not path.is_dir():
+            yield path
+            continue
+        inside = sorted(path.rglob("*.ply"))
+        if not inside:
+            raise FileFormatError(f"{path}: expected a folder with .ply files, there is none in it")
+        yield from inside
 
 
 def _read(path: Path) -> bytes:

@@ -15,7 +15,16 @@ import numpy as np
 
 from estimator.errors import BackendError, FileFormatError, InputError
 
-__all__ = ["Drawing", "ImportReport", "Line", "Point", "require_finite", "require_package", "require_size"]
+__all__ = [
+    "Drawing",
+    "ImportReport",
+    "Line",
+    "Opening",
+    "Point",
+    "require_finite",
+    "require_package",
+    "require_size",
+]
 
 Point = tuple[float, float]
 
@@ -25,6 +34,14 @@ LARGEST_BYTES = 64 * 2**20
 MOST_LINES = 20_000
 # Coordinates beyond this are survey coordinates in the wrong unit, or nonsense.
 FARTHEST_M = 1e8
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A door or passage: from jamb to jamb, metres; both the same where only its middle is known."""
+
+    start_m: Point
+    end_m: Point
 
 
 @dataclass(frozen=True)
@@ -123,6 +140,8 @@ class Drawing:
         Outlines of where the agent may walk, if the file draws them.
     floor, ceiling : str or None
         Material of a floor or ceiling that the file has.
+    openings : list of Opening
+        Doors that the file marks.
     georeference : tuple or None
         Name of the coordinate reference system that the file states, and the place in it that is
         the drawing's (0, 0).
@@ -134,6 +153,7 @@ class Drawing:
     anchors_m: list[tuple[str, tuple[float, float, float]]] = field(default_factory=list)
     track_m: list[Point] = field(default_factory=list)
     space_m: list[list[Point]] = field(default_factory=list)
+    openings: list[Opening] = field(default_factory=list)
     georeference: tuple[str, Point] | None = None
     floor: str | None = None
     ceiling: str | None = None

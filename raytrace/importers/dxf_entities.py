@@ -28,7 +28,7 @@ CURVES = frozenset(
 )
 _COMPOUND = frozenset(["MLINE"])
 _FILLED = frozenset(["HATCH", "MPOLYGON"])
-_DOOR = frozenset(("door", "tuer", "tür", "porte", "puerta", "porta"))
+_DOOR = frozenset(("door", "tuer", "tür", "porte", "puerta", "porta", "opening"))
 _DEEPEST = 16
 _MOST_ENTITIES = 200_000
 _SAGITTA_M = 0.02

@@ -1,10 +1,9 @@
-"""GeoJSON: lines and outlines as walls, points as anchors.
+"""GeoJSON: lines and outlines as walls, points as anchors, doors as openings, one level of several.
 
-Properties of a feature that count: ``material`` (or ``class``, ``category``, ``type``,
-``layer``, ``name``, searched for words as layers are), ``height_m`` or ``height``,
-``thickness_m`` or ``thickness``, and ``role`` (``wall``, ``anchor``, ``track``,
-``ignore``). Coordinates are degrees (RFC 7946) if they can be: a building spans less than
-a tenth of a degree, and no room is smaller than a tenth of a metre.
+What a feature is follows from its properties (:mod:`raytrace.importers.conventions`).
+Coordinates are degrees (RFC 7946) if they can be: a building spans less than a tenth of a
+degree, and no room is smaller than a tenth of a metre. Features of JSON-FG have their
+``place`` in metres.
 """
 
 from __future__ import annotations
@@ -20,14 +19,15 @@ import shapely
 from shapely.geometry import shape
 
 from estimator.errors import FileFormatError
-from raytrace.importers.drawing import Drawing, Line, require_finite, require_size
-from raytrace.importers.options import IGNORE, UNITS_M, ImportOptions
-from raytrace.plan.materials import ITU_MATERIALS
+from raytrace.importers.conventions import levels_of, lowered, meaning, metres_of
+from raytrace.importers.drawing import Drawing, Line, Opening, require_finite, require_size
+from raytrace.importers.openings import cut_openings
+from raytrace.importers.options import UNITS_M, ImportOptions
 
-__all__ = ["read_geojson"]
+__all__ = ["Feature", "drawing_of", "levels_in", "read_geojson"]
 
-_NAMES = ("material", "class", "category", "feature_type", "type", "layer", "name")
-_ROLES = ("wall", "anchor", "track", IGNORE)
+Feature = tuple[str, Mapping[str, Any], Any]
+
 _GEOMETRIES = frozenset(
     ["Point", "MultiPoint", "LineString", "MultiLineString", "Polygon", "MultiPolygon", "GeometryCollection"]
 )
@@ -51,20 +51,81 @@ def read_geojson(data: bytes, options: ImportOptions) -> Drawing:
     FileFormatError
         If it is no GeoJSON, a feature is malformed, or there is no wall.
     """
-    features = [
+    return drawing_of(list(_features(_parse(require_size(data)))), options)
+
+
+def drawing_of(features: list[Feature], options: ImportOptions) -> Drawing:
+    """A drawing of features, whatever file they were in: place, properties and GeoJSON geometry of each.
+
+    Raises
+    ------
+    FileFormatError
+        If a feature is malformed, there are several levels and none was chosen, or there is no wall.
+    """
+    drawing = Drawing()
+    chosen = _on_level(features, options.level, drawing)
+    parts = [
         (where, properties, part)
-        for where, properties, geometry in _features(_parse(require_size(data)))
+        for where, properties, geometry in chosen
         for part in _parts(_geometry(where, geometry))
     ]
-    drawing = Drawing()
-    if not features:
+    if not parts:
         raise FileFormatError("features: expected at least one geometry, got none")
-    project = _projection(features, options, drawing)
-    for where, properties, part in features:
+    project = _projection(parts, options, drawing)
+    for where, properties, part in parts:
         _take(where, properties, part, project, options, drawing)
     if not drawing.lines:
         raise FileFormatError("features: expected lines or polygons that are walls, got none")
+    drawing.lines = cut_openings(drawing.lines, drawing.openings, options.thickest_m, drawing.report)
     return drawing
+
+
+def levels_in(data: bytes) -> list[str]:
+    """Levels that a GeoJSON file states, in order; raises FileFormatError if it is none."""
+    features = list(_features(_parse(require_size(data))))
+    return sorted({one for some in _stated_levels(features) for one in some}, key=_by_number)
+
+
+def _stated_levels(features: list[Feature]) -> list[frozenset[str]]:
+    """Levels of every feature; those that are levels themselves (IMDF) give the others their ordinals."""
+    names = {
+        str(properties.get("id") or properties.get("level_id") or ""): properties
+        for _, properties, _ in features
+        if lowered(properties).get("feature_type") == "level"
+    }
+    return [levels_of(where, properties, names) for where, properties, _ in features]
+
+
+def _on_level(features: list[Feature], level: str | None, drawing: Drawing) -> list[Feature]:
+    """Features of one level, and those that state none, which are on all."""
+    stated = _stated_levels(features)
+    there = sorted({one for some in stated for one in some}, key=_by_number)
+    if level is None and len(there) > 1:
+        raise FileFormatError(
+            f"levels: expected one level, got {len(there)} ({', '.join(there[:12])}"
+            f"{', ...' if len(there) > 12 else ''}); choose one with --level"
+        )
+    if level is not None and level not in there:
+        raise FileFormatError(
+            f"level: expected one of {', '.join(there) or 'none that the file states'}, got {level!r}"
+        )
+    if there:
+        drawing.report.notes.append(f"level {level or there[0]} of {', '.join(there)}")
+    others = sum(bool(some) and level is not None and level not in some for some in stated)
+    if others:
+        drawing.report.dropped["feature on another level"] += others
+    return [
+        feature
+        for feature, some in zip(features, stated, strict=True)
+        if not some or level is None or level in some
+    ]
+
+
+def _by_number(level: str) -> tuple[float, str]:
+    try:
+        return float(level), level
+    except ValueError:
+        return math.inf, level
 
 
 def _parse(data: bytes) -> Any:
@@ -81,7 +142,7 @@ def _parse(data: bytes) -> Any:
         raise FileFormatError(f"expected JSON, could not read it: {error}") from error
 
 
-def _features(root: Any) -> Iterator[tuple[str, Mapping[str, Any], Any]]:
+def _features(root: Any) -> Iterator[Feature]:
     """Where, properties and geometry of every feature."""
     if not isinstance(root, dict):
         raise FileFormatError(f"expected a GeoJSON object, got {type(root).__name__}")
@@ -103,8 +164,10 @@ def _features(root: Any) -> Iterator[tuple[str, Mapping[str, Any], Any]]:
         properties = feature.get("properties")
         if not isinstance(properties, dict | None):
             raise FileFormatError(f"{where}.properties: expected an object, got {str(properties)[:60]}")
-        if feature.get("geometry") is not None:  # null is allowed: a feature without a place
-            yield where, properties or {}, feature["geometry"]
+        said = {key: feature[key] for key in ("id", "feature_type", "featureType") if key in feature}
+        place = feature.get("place") or feature.get("geometry")  # JSON-FG has metres in its place
+        if place is not None:  # null is allowed: a feature without a place
+            yield where, {**said, **(properties or {})}, place
 
 
 def _geometry(where: str, geometry: Any) -> shapely.Geometry:
@@ -163,6 +226,7 @@ def _projection(
     east = math.radians(1.0) * _MAJOR_M * cosine / math.sqrt(bend)
     north = math.radians(1.0) * _MAJOR_M * (1.0 - flat) / bend**1.5
     drawing.report.notes.append(f"degrees, flattened about {latitude:.6f} N, {longitude:.6f} E")
+    drawing.georeference = ("EPSG:4326", (float(longitude), float(latitude)))
     return _Projection((east, north), (float(longitude), float(latitude)))
 
 
@@ -175,30 +239,33 @@ def _take(
     drawing: Drawing,
 ) -> None:
     kind = part.geom_type
-    role = properties.get("role", "anchor" if kind == "Point" and "anchor" in _name(properties) else "wall")
-    if role not in _ROLES:
-        raise FileFormatError(f"{where}.properties.role: expected one of {', '.join(_ROLES)}, got {role!r}")
-    if role == "anchor" and kind == "Point":
+    taken = meaning(where, properties, kind, options)
+    if taken.role == "anchor" and kind == "Point":
         _take_anchor(where, properties, part, project, drawing)
         return
-    if role == "track" and kind == "LineString":
+    because = f" ({taken.label})" if taken.label and kind != "Point" else ""
+    told = f"{kind} as {taken.role}{because}"
+    if taken.role == "track" and kind == "LineString":
         drawing.track_m = project(part)
-        drawing.report.kept["LineString as track"] += 1
+    elif taken.role == "walkable" and kind == "Polygon":
+        drawing.space_m.append(project(part.exterior))
+    elif taken.role == "opening" and kind in ("Point", "LineString"):
+        points = project(part)
+        drawing.openings.append(Opening(points[0], points[-1]))
+    elif taken.role == "wall" and kind != "Point":
+        told = f"{kind} as {taken.material}{because}"
+        height = metres_of(where, properties, "height", options.height_m)
+        thickness = metres_of(where, properties, "thickness", options.thickness_m)
+        rings = [part] if kind in ("LineString", "LinearRing") else [part.exterior, *part.interiors]
+        for ring in rings:
+            for start, end in itertools.pairwise(project(ring)):
+                require_finite((*start, *end), where)
+                if start != end:
+                    drawing.add(Line(start, end, taken.material, height, thickness, where))
+    else:
+        drawing.report.dropped[told] += 1
         return
-    material = _material(where, properties, options)
-    if role != "wall" or kind == "Point" or material == IGNORE:
-        drawing.report.dropped[f"{kind} as {role}" + (", ignored" if material == IGNORE else "")] += 1
-        return
-    height = _metres(where, properties, "height", options.height_m)
-    thickness = _metres(where, properties, "thickness", options.thickness_m)
-    rings = [part] if kind == "LineString" or kind == "LinearRing" else [part.exterior, *part.interiors]
-    for ring in rings:
-        points = project(ring)
-        for start, end in itertools.pairwise(points):
-            require_finite((*start, *end), where)
-            if start != end:
-                drawing.add(Line(start, end, material, height, thickness, where))
-    drawing.report.kept[f"{kind} as {material}"] += 1
+    drawing.report.kept[told] += 1
 
 
 def _take_anchor(
@@ -208,39 +275,9 @@ def _take_anchor(
     project: _Projection,
     drawing: Drawing,
 ) -> None:
-    height = _metres(where, properties, "height", math.nan)
+    height = metres_of(where, properties, "height", math.nan)
     z = float(part.z) if part.has_z else height
-    name = properties.get("name")
+    name = lowered(properties).get("name")
     label = name[:100] if isinstance(name, str) and name else f"pa{len(drawing.anchors_m) + 1}"
     drawing.anchors_m.append((label, (*project(part)[0], z if z > 0 else math.nan)))
     drawing.report.kept["Point as anchor"] += 1
-
-
-def _name(properties: Mapping[str, Any]) -> str:
-    return " ".join(str(properties[key]).lower() for key in _NAMES if key in properties)
-
-
-def _material(where: str, properties: Mapping[str, Any], options: ImportOptions) -> str:
-    stated = properties.get("material")
-    if stated is not None and not isinstance(stated, str):
-        raise FileFormatError(f"{where}.properties.material: expected a name, got {stated!r}")
-    for key in _NAMES:
-        if isinstance(properties.get(key), str):
-            found = options.material_of(properties[key])
-            if found is not None:
-                return found
-    if stated is not None:
-        raise FileFormatError(
-            f"{where}.properties.material: expected one of {', '.join(ITU_MATERIALS)}, got {stated!r}"
-        )
-    return "concrete"
-
-
-def _metres(where: str, properties: Mapping[str, Any], name: str, default: float) -> float:
-    for key in (f"{name}_m", name):
-        if properties.get(key) is not None:
-            value = properties[key]
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 1000.0:
-                raise FileFormatError(f"{where}.properties.{key}: expected metres above 0, got {value!r}")
-            return float(value)
-    return default

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import io
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from estimator.errors import FileFormatError
 from raytrace.importers.drawing import Drawing, Line, require_package, require_size
 from raytrace.importers.options import IGNORE, UNITS_M, ImportOptions
 
-__all__ = ["Solid", "cut", "read_ply", "read_ply_mesh"]
+__all__ = ["Solid", "cut", "read_model", "read_ply", "read_ply_mesh"]
 
 Array = NDArray[np.float64]
 
@@ -60,6 +61,56 @@ def read_ply(data: bytes, name: str, options: ImportOptions) -> Drawing:
     """
     vertices, faces = read_ply_mesh(data)
     return cut([Solid(name, vertices, faces)], options)
+
+
+def read_model(data: bytes, suffix: str, options: ImportOptions) -> Drawing:
+    """Read a model of several objects: OBJ, STL, or glTF (whole, without files beside it).
+
+    Parameters
+    ----------
+    data : bytes
+        Contents of the file.
+    suffix : str
+        ``.obj``, ``.stl``, ``.glb`` or ``.gltf``; the last two have y upwards unless told otherwise.
+    options : ImportOptions
+        How to read it; materials follow from the names of objects and of their materials.
+
+    Raises
+    ------
+    FileFormatError
+        If it cannot be read, needs other files, has too many faces or no wall.
+    """
+    require_package("trimesh")
+    import trimesh
+
+    kind = suffix.removeprefix(".")
+    try:
+        scene = trimesh.load_scene(io.BytesIO(require_size(data)), file_type=kind, process=False)
+        solids = [
+            Solid(
+                _name_of(scene.graph[node][1], mesh),
+                trimesh.transform_points(mesh.vertices, scene.graph[node][0]),
+                np.asarray(mesh.faces, dtype=np.int64),
+            )
+            for node in scene.graph.nodes_geometry
+            if isinstance(mesh := scene.geometry[scene.graph[node][1]], trimesh.Trimesh) and len(mesh.faces)
+        ]
+    except Exception as error:  # trimesh raises errors of many kinds on damaged files
+        text = f"{type(error).__name__}: {error}"[:120]
+        raise FileFormatError(f"expected a whole {kind} file, could not read it: {text}") from error
+    faces = sum(len(solid.faces) for solid in solids)
+    if faces > _MOST_FACES:
+        raise FileFormatError(f"expected at most {_MOST_FACES} faces, got {faces}")
+    if not all(np.isfinite(solid.vertices).all() for solid in solids):
+        raise FileFormatError("expected finite vertices, got NaN or infinity")
+    up: Literal["z", "y"] = "y" if kind in ("glb", "gltf") else "z"
+    return cut(solids, options if options.up is not None else replace(options, up=up))
+
+
+def _name_of(geometry: str, mesh: Any) -> str:
+    """Name of an object with that of its material, in one text to search for words."""
+    material = getattr(getattr(mesh.visual, "material", None), "name", None)
+    return f"{geometry} {material}" if material else geometry
 
 
 def read_ply_mesh(data: bytes) -> tuple[Array, NDArray[np.int64]]:

@@ -12,9 +12,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from raytrace.importers.drawing import ImportReport, Line, Point
+from raytrace.importers.drawing import ImportReport, Line, Opening, Point
 
-__all__ = ["Opening", "Swing", "cut_openings", "swing_openings"]
+__all__ = ["Swing", "cut_openings", "swing_openings"]
 
 Array = NDArray[np.float64]
 
@@ -27,14 +27,6 @@ _PARALLEL = np.sin(np.deg2rad(10.0))
 _SHORTEST_M = 0.02
 # Width of a door that is marked by a point.
 _DOOR_M = 0.9
-
-
-@dataclass(frozen=True)
-class Opening:
-    """A door or passage: from jamb to jamb, metres; both the same where only its middle is known."""
-
-    start_m: Point
-    end_m: Point
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ UNITS_M = {
 # meets comes first (a "wall-door" is a door), then the materials by their own names.
 _NOTHING = frozenset(
     ("door", "tuer", "tür", "text", "txt", "dim", "dimension", "hatch", "furn", "furniture")
-    + ("defpoints", "anno", "annotation", "grid", "axis")
+    + ("opening", "defpoints", "anno", "annotation", "grid", "axis")
 )
 _WORDS = {
     "glass": frozenset(("glaz", "glazing", "window", "wind", "fenster", "curtain")),
@@ -119,12 +119,17 @@ class ImportOptions:
                     f"{pattern}: expected one of {', '.join(ITU_MATERIALS)} or {IGNORE!r}, got {material!r}"
                 )
 
+    def told_of(self, name: str) -> str | None:
+        """Material that the user gave to what is named so, or ``"ignore"``; ``None`` if none was given."""
+        lower = name.lower()
+        return next((m for pattern, m in self.materials.items() if fnmatchcase(lower, pattern.lower())), None)
+
     def material_of(self, name: str) -> str | None:
         """Material of what is named so, ``"ignore"``, or ``None`` if nothing tells."""
+        told = self.told_of(name)
+        if told is not None:
+            return told
         lower = name.lower()
-        for pattern, material in self.materials.items():
-            if fnmatchcase(lower, pattern.lower()):
-                return material
         words = words_of(name)
         if words & _NOTHING:
             return IGNORE

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import ezdxf
 import pytest
 
 from raytrace.plan.files import load_floorplan
@@ -149,3 +150,86 @@ def test_datasets_are_drawn(main: Runner, demo: tuple[Path, SimpleNamespace], tm
         main("scene", "sweep", demo[0] / "dataset", "--number", 5), "sweep: expected 0 to 0, got 5"
     )
     assert_refused(main("scene", "profile", tmp_path), "expected a dataset directory")
+
+
+def drawn(path: Path) -> Path:
+    """A room with a door's gap and a shaft, as DXF."""
+    document = ezdxf.new()
+    document.header["$INSUNITS"] = 6
+    space, wall = document.modelspace(), {"layer": "WALLS"}
+    space.add_lwpolyline([(0, 3), (0, 5), (8, 5), (8, 0), (0, 0), (0, 2)], dxfattribs=wall)
+    space.add_lwpolyline([(5, 2), (6.5, 2), (6.5, 3.5), (5, 3.5)], close=True, dxfattribs=wall)
+    space.add_text("[bold]room", dxfattribs={"layer": "NOTES [1]"})
+    space.add_line((0, -2), (8, -2), dxfattribs={"layer": "NOTES [1]"})
+    document.saveas(path)
+    return path
+
+
+def test_inspect_tells_before_anything_is_imported(main: Runner, tmp_path: Path) -> None:
+    """Layers with their lines and what they would be, unit, extent, and a picture."""
+    path = drawn(tmp_path / "room.dxf")
+    run = main("scene", "inspect", path, "--out", tmp_path / "new" / "room.png")
+    assert run.status == 0, run.err
+    assert "layer      WALLS: 9 lines, 31 m, concrete" in run.out
+    assert "layer      NOTES [1]: 1 lines, 8 m, left out" in run.out
+    assert "unit m, from the header" in run.out
+    assert (tmp_path / "new" / "room.png").stat().st_size > 5000
+    facts = json.loads(main("scene", "inspect", path, "--json").out)
+    assert facts["extent_m"] == [8.0, 7.0]
+    assert facts["layers"]["WALLS"]["taken_as"] == "concrete"
+    assert facts["problem"] == ""
+
+
+def test_inspect_tells_levels_and_problems(main: Runner, tmp_path: Path) -> None:
+    """Of a file with several levels the levels are told, and what an import would end with."""
+    ring = [[0, 0], [8, 0], [8, 5], [0, 5], [0, 0]]
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"level": level},
+            "geometry": {"type": "Polygon", "coordinates": [ring]},
+        }
+        for level in ("0", "1")
+    ]
+    path = tmp_path / "mall.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    run = main("scene", "inspect", path)
+    assert run.status == 0
+    assert "levels     0, 1" in run.out
+    assert "problem    levels: expected one level" in run.out
+    assert main("scene", "import", path, "--level", "1", "--out", tmp_path / "first.toml").status == 0
+
+
+def test_the_walk_is_in_the_room_and_not_in_the_shaft(main: Runner, tmp_path: Path) -> None:
+    """A room with a gap for a door is where the agent walks, though the shaft in it is closed."""
+    run = main("scene", "import", drawn(tmp_path / "room.dxf"), "--out", tmp_path / "room.toml")
+    assert run.status == 0, run.err
+    assert "m2 inside" in run.out
+    track = load_floorplan(tmp_path / "room.toml").track()
+    assert ((track[:, 0] > 0) & (track[:, 0] < 8) & (track[:, 1] > 0) & (track[:, 1] < 5)).all()
+    assert not ((track[:, 0] > 5) & (track[:, 0] < 6.5) & (track[:, 1] > 2) & (track[:, 1] < 3.5)).any()
+
+
+def test_walk_and_anchors_by_option(main: Runner, tmp_path: Path) -> None:
+    """Way-points and anchors of the user's are taken as they are; what is no point is told."""
+    path, out = drawn(tmp_path / "room.dxf"), tmp_path / "room.toml"
+    options = ("--walk", "1,1 4,1 4,4", "--anchor", "2,4,2.2", "--anchor", "7,1")
+    run = main("scene", "import", path, *options, "--out", out)
+    assert run.status == 0, run.err
+    plan = load_floorplan(out)
+    assert plan.agent.waypoints_m == ((1.0, 1.0), (4.0, 1.0), (4.0, 4.0))
+    assert [anchor.position_m for anchor in plan.anchors] == [(2.0, 4.0, 2.2), (7.0, 1.0, 2.4)]
+    bad = main("scene", "import", path, "--walk", "1,1 here", "--out", tmp_path / "b.toml")
+    assert (bad.status, "--walk: expected X,Y in metres, got 'here'" in bad.err) == (2, True)
+
+
+def test_repairs_are_told(main: Runner, tmp_path: Path) -> None:
+    """`check` says which walls were made one on loading."""
+    text = (Path(__file__).parents[2] / "scenes" / "l-room.toml").read_text()
+    first = text[text.index("[[walls]]") : text.index("[[walls]]", text.index("[[walls]]") + 1)]
+    name = first[first.index('name = "') + 8 :].split('"')[0]
+    path = tmp_path / "twice.toml"
+    path.write_text(text.replace("[[walls]]", first.replace(name, "twin") + "[[walls]]", 1))
+    run = main("scene", "check", path)
+    assert run.status == 0, run.err
+    assert f"walls 'twin' and '{name}' lie on one another: made one" in run.out

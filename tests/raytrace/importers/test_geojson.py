@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from estimator.errors import InputError
+from estimator.errors import FileFormatError, InputError
+from raytrace.importers.conventions import levels_of, meaning
 from raytrace.importers.convert import Imported, import_floorplan
 from raytrace.importers.options import ImportOptions
 
@@ -171,3 +172,133 @@ def test_malformed_files_are_told_in_one_line(name: str, tmp_path: Path) -> None
     assert message in text
     assert "expected" in text
     assert len(text) < 600
+
+
+CASES = Path(__file__).parents[3].parent / "shared" / "cases" / "floorplans"
+shared = pytest.mark.skipif(not CASES.is_dir(), reason="the shared cases are not beside this checkout")
+
+
+@shared
+def test_levels_are_not_merged() -> None:
+    """Three storeys in one file: none is taken unasked, each is what it is, a fourth is refused."""
+    path = CASES / "15" / "levels.geojson"
+    with pytest.raises(FileFormatError, match=r"got 3 \(0, 1, 2\); choose one with --level"):
+        import_floorplan(path)
+    for level, width in (("0", 14.9), ("1", 9.7), ("2", 6.7)):
+        made = import_floorplan(path, ImportOptions(level=level))
+        assert len(made.plan.walls) == 4
+        x = [end[0] for wall in made.plan.walls for end in (wall.from_m, wall.to_m)]
+        assert max(x) - min(x) == pytest.approx(width, abs=0.1)
+        assert made.drawing.report.dropped["feature on another level"] == 2
+    with pytest.raises(FileFormatError, match="level: expected one of 0, 1, 2, got '7'"):
+        import_floorplan(path, ImportOptions(level="7"))
+
+
+@shared
+def test_doors_and_icons_are_no_concrete() -> None:
+    """GDAL's "Layer", OpenStreetMap's indoor=door, an icon: doors open, icons go, patterns count."""
+    path = CASES / "17" / "poi.geojson"
+    made = import_floorplan(path)
+    report = made.drawing.report
+    assert report.kept == {
+        "Polygon as concrete ('WALL')": 1,
+        "LineString as opening ('DOORS')": 1,
+        "LineString as opening (indoor=door)": 1,
+    }
+    assert report.dropped == {"Polygon as ignore ('wheelchair')": 1}
+    assert sum(wall.name.startswith("features[0]") for wall in made.plan.walls) == 5  # cut by one door
+    ignored = import_floorplan(path, ImportOptions(materials={"DOORS": "ignore"}))
+    assert len(ignored.plan.walls) == 4
+    assert ignored.drawing.report.dropped["LineString as ignore ('DOORS')"] == 1
+
+
+@pytest.mark.parametrize(
+    ("stated", "metres"),
+    [("3", 3.0), ("2.70", 2.7), ("2,7 m", 2.7), (" 3.5m ", 3.5), ("270 cm", 2.7), ("10 ft", 3.048), (4, 4.0)],
+)
+def test_numbers_may_be_texts(stated: Any, metres: float, tmp_path: Path) -> None:
+    """OpenStreetMap states heights as texts, with or without a unit, and GDAL names keys as it likes."""
+    made = imported(collection(feature("Polygon", [ROOM], Height=stated)), tmp_path)
+    assert [wall.height_m for wall in made.plan.walls] == [pytest.approx(metres)] * 4
+
+
+@pytest.mark.parametrize(
+    ("properties", "role"),
+    [
+        ({"highway": "footway"}, "ignore"),
+        ({"amenity": "toilets"}, "ignore"),
+        ({"indoor": "area"}, "ignore"),
+        ({"indoor": "corridor"}, "ignore"),
+        ({"feature_type": "level"}, "ignore"),
+        ({"feature_type": "amenity", "category": "elevator"}, "ignore"),
+        ({"LAYER": "ROADS"}, "ignore"),
+        ({"Layer": "A-FURN"}, "ignore"),
+        ({"door": "yes"}, "opening"),
+        ({"entrance": "main"}, "opening"),
+        ({"feature_type": "opening", "category": "pedestrian"}, "opening"),
+        ({"building": "yes"}, "wall"),
+        ({"barrier": "wall"}, "wall"),
+        ({"indoor": "room", "room": "stairs"}, "wall"),
+        ({"feature_type": "unit", "category": "walkway"}, "wall"),
+        ({"Class": "glazing"}, "wall"),
+        ({"anything": 7}, "wall"),
+    ],
+)
+def test_conventions_of_others(properties: dict[str, Any], role: str) -> None:
+    """What OpenStreetMap, IMDF and GDAL say of a feature decides what it is, not its having an outline."""
+    assert meaning("f", properties, "Polygon", ImportOptions()).role == role
+
+
+@pytest.mark.parametrize(
+    ("properties", "levels"),
+    [
+        ({"level": "0;1"}, {"0", "1"}),
+        ({"level": "-1-1"}, {"-1", "0", "1"}),
+        ({"Level": 2.0}, {"2"}),
+        ({"level": "0.5"}, {"0.5"}),
+        ({"storey": "EG"}, {"EG"}),
+        ({"level_id": "abc"}, {"3"}),
+        ({}, set()),
+    ],
+)
+def test_levels_are_read(properties: dict[str, Any], levels: set[str]) -> None:
+    """Lists, ranges, numbers and references to features of IMDF that are levels themselves."""
+    assert levels_of("f", properties, {"abc": {"ordinal": 3}}) == levels
+
+
+def test_an_unlevelled_feature_is_on_every_level(tmp_path: Path) -> None:
+    """An outline without a level stays when a level is chosen."""
+    inner = [[[1, 1], [4, 1], [4, 4], [1, 4], [1, 1]]]
+    data = collection(
+        feature("Polygon", [ROOM]), feature("Polygon", inner, level=1), feature("Polygon", inner, level=2)
+    )
+    assert len(imported(data, tmp_path, level="1").plan.walls) == 8
+
+
+def test_a_door_that_is_a_point_opens_its_wall(tmp_path: Path) -> None:
+    """A node with door=yes on a wall makes a gap of 90 cm around it."""
+    made = imported(
+        collection(feature("Polygon", [ROOM]), feature("Point", [4.0, 0.0], door="yes")), tmp_path
+    )
+    south = [wall for wall in made.plan.walls if wall.from_m[1] == wall.to_m[1] == 0.0]
+    assert sorted(x for wall in south for x, _ in (wall.from_m, wall.to_m)) == [0.0, 3.55, 4.45, 9.0]
+
+
+def test_degrees_are_kept_as_georeference(tmp_path: Path) -> None:
+    """The plan says which longitude and latitude its origin is."""
+    room = [[2.0, 48.0], [2.0002, 48.0], [2.0002, 48.0001], [2.0, 48.0001], [2.0, 48.0]]
+    made = imported(collection(feature("Polygon", [room])), tmp_path)
+    assert made.plan.georeference is not None
+    assert made.plan.georeference.crs == "EPSG:4326"
+    assert made.plan.georeference.origin == pytest.approx((2.0001, 48.00005))
+
+
+def test_walkable_space_is_taken_as_drawn(tmp_path: Path) -> None:
+    """Where the file says where one walks, the agent does not leave it."""
+    drawn = [[1, 1], [4, 1], [4, 4], [1, 4], [1, 1]]
+    made = imported(
+        collection(feature("Polygon", [ROOM]), feature("Polygon", [drawn], role="walkable")), tmp_path
+    )
+    track = made.plan.track()[:, :2]
+    assert track.min() >= 1.0
+    assert track.max() <= 4.0

@@ -338,3 +338,53 @@ def test_slanted_faces_are_no_walls(tmp_path: Path) -> None:
     assert made.drawing.report.dropped["slanted face of tent"] == 4
     assert ends(made) == ROOM
     assert np.isfinite(made.plan.track()).all()
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".stl", ".glb", ".gltf"])
+def test_models_of_other_formats(suffix: str, tmp_path: Path) -> None:
+    """OBJ, STL and whole glTF files give the plan of the house that is in them, y upwards in glTF."""
+    sides = [(0, 0, 8, 0.2), (0, 5.8, 8, 6), (0, 0, 0.2, 6), (7.8, 0, 8, 6)]
+    scene = trimesh.Scene()
+    for number, (x0, y0, x1, y1) in enumerate(sides):
+        scene.add_geometry(slab(x0, y0, x1, y1, 0, 3), geom_name=f"brick-wall-{number}")
+    if suffix in (".glb", ".gltf"):
+        scene.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0)))
+    path = tmp_path / f"house{suffix}"
+    data = trimesh.util.concatenate(scene.dump()).export(file_type="stl") if suffix == ".stl" else None
+    if suffix == ".gltf":
+        files = trimesh.exchange.gltf.export_gltf(scene, merge_buffers=True, embed_buffers=True)
+        data = files["model.gltf"]
+    path.write_bytes(data if data is not None else as_bytes(scene.export(file_type=suffix[1:])))
+    made = import_floorplan(path)
+    assert len(made.plan.walls) == 4
+    assert {wall.thickness_m for wall in made.plan.walls} == {0.2}
+    if suffix != ".stl":  # it has no names
+        assert {wall.material for wall in made.plan.walls} == {"brick"}
+
+
+def as_bytes(data: Any) -> bytes:
+    return data.encode() if isinstance(data, str) else bytes(data)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".stl", ".glb", ".gltf"])
+def test_damaged_models_are_told_in_one_line(suffix: str, tmp_path: Path) -> None:
+    """What is no such file, or needs others beside it, is an error that names the file."""
+    path = tmp_path / f"bad{suffix}"
+    for data in (b"\x00\x01 nothing of the kind", b'{"buffers": [{"uri": "/etc/passwd", "byteLength": 9}]}'):
+        path.write_bytes(data)
+        with pytest.raises(InputError, match="bad"):
+            import_floorplan(path)
+
+
+def test_a_folder_of_meshes_is_given_at_once(tmp_path: Path) -> None:
+    """All meshes of a scene's folder are named by one option; a folder without any is told."""
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "inner.ply").write_bytes(slab(4, 2, 4.1, 6.0, 0, 3).export(file_type="ply"))
+    inner = '<shape type="ply" id="inner"><string name="filename" value="meshes/inner.ply"/></shape>'
+    path = tmp_path / "room.xml"
+    path.write_text(scene(*four_walls(), inner))
+    made = import_floorplan(path, meshes=[tmp_path / "meshes"])
+    assert frozenset([(4.05, 2.0), (4.05, 6.0)]) in ends(made)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="expected a folder with .ply files"):
+        import_floorplan(path, meshes=[tmp_path / "empty"])
