@@ -111,7 +111,7 @@ def meaning(where: str, properties: Mapping[str, Any], kind: str, options: Impor
     for name in named:  # what the user says of a layer counts before all conventions
         by_user = options.told_of(name)
         if by_user is not None:
-            return Meaning(IGNORE if by_user == IGNORE else "wall", by_user, repr(name))
+            return Meaning(IGNORE if by_user == IGNORE else "wall", by_user)
     found = _of_keys(said) or _of_words(named)
     if found is not None and found.role != "wall":
         return found
