@@ -41,7 +41,11 @@ def head(plan: FloorPlan, seed: int, output: Output) -> dict[str, Any]:
     return {
         "name": plan.name,
         "seed": seed,
-        "scene": {"name": plan.name, "sha256": plan.sha256()},
+        "scene": {
+            "name": plan.name,
+            "sha256": plan.sha256(),
+            **({"georeference": plan.georeference.model_dump()} if plan.georeference else {}),
+        },
         "anchors": [anchor.name for anchor in plan.anchors],
         "epochs": plan.agent.epochs,
         "agent": {"max_speed_m_s": plan.agent.largest_speed_m_s},

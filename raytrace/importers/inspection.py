@@ -22,6 +22,7 @@ __all__ = ["draw_drawing", "inspect_drawing"]
 
 # Layers that a picture names; the rest is grey.
 _MOST_NAMED = 10
+MAPS = (".geojson", ".json")
 
 
 def inspect_drawing(
@@ -41,9 +42,10 @@ def inspect_drawing(
     Returns
     -------
     dict
-        ``file``, ``notes`` (the unit among them), ``levels``, ``extent_m`` (width and depth), ``layers`` (by
-        name: ``lines``, ``length_m``, and what each would be ``taken_as``), ``kept`` and ``dropped`` (what an
-        import would take for what), ``warnings``, and ``problem``: what an import would end with.
+        ``file``, ``notes`` (the unit among them), ``levels``, ``extent_m`` (width and depth), ``layers``
+        (by name, none of a map: ``lines``, ``length_m``, and what each would be ``taken_as``), ``kept`` and
+        ``dropped`` (what an import would take for what), ``warnings``, and ``problem``: what an import
+        would end with.
     Drawing
         All lines.
 
@@ -53,13 +55,17 @@ def inspect_drawing(
         If the file cannot be read at all.
     """
     options = ImportOptions() if options is None else options
-    levels = levels_in(path.read_bytes()) if path.suffix.lower() in (".geojson", ".json") else []
+    levels = levels_in(path.read_bytes()) if path.suffix.lower() in MAPS else []
     chosen = options if options.level or len(levels) < 2 else replace(options, level=levels[0])
     problem, report = "", None
+    if chosen is not options:
+        problem = (
+            f"levels: expected one level, got {len(levels)} ({', '.join(levels)}); choose one with --level"
+        )
     try:
-        report = read_drawing(path, options, meshes).report
+        report = read_drawing(path, chosen, meshes).report
     except InputError as error:
-        problem = str(error)
+        problem = problem or str(error)
     unit = options.unit if report is None else _unit_of(report.notes)
     everything = replace(chosen, materials={"*": "concrete"}, material="concrete", unit=unit)
     try:
@@ -71,7 +77,7 @@ def inspect_drawing(
         drawing.report.notes.append("no unit known: extents are in units of the file")
     ends = np.array([(line.start_m, line.end_m) for line in drawing.lines]).reshape(-1, 2)
     layers: dict[str, dict[str, Any]] = defaultdict(lambda: {"lines": 0, "length_m": 0.0})
-    for line in drawing.lines:
+    for line in drawing.lines if path.suffix.lower() not in MAPS else ():  # features have no layers
         layers[line.source]["lines"] += 1
         layers[line.source]["length_m"] += line.length_m
     for name, facts in layers.items():

@@ -85,7 +85,8 @@ def read_model(data: bytes, suffix: str, options: ImportOptions) -> Drawing:
 
     kind = suffix.removeprefix(".")
     try:
-        scene = trimesh.load_scene(io.BytesIO(require_size(data)), file_type=kind, process=False)
+        apart = {"split_objects": True, "group_material": False} if kind == "obj" else {}
+        scene = trimesh.load_scene(io.BytesIO(require_size(data)), file_type=kind, process=False, **apart)
         solids = [
             Solid(
                 _name_of(scene.graph[node][1], mesh),
