@@ -64,7 +64,7 @@ def cache_folder() -> Path | None:
 
 def _fingerprint(function: Callable[..., Any]) -> str:
     """Of a function's file, the compiled functions that it calls, and the constants and types it uses."""
-    parts = [_source_mark(function.__module__)]
+    parts = [function.__module__, _source_mark(function.__module__)]
     for name in sorted(_names(function.__code__)):
         value = function.__globals__.get(name)
         if id(value) in _FINGERPRINTS:

@@ -16,7 +16,7 @@ import numpy as np
 
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp
 from estimator.slam import Estimate
-from estimator.slam.candidates import Candidate
+from estimator.slam.protocol import Candidate
 
 __all__ = [
     "dump",

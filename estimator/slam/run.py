@@ -12,12 +12,11 @@ from estimator.errors import ConfigurationError
 from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
 from estimator.slam import methods
-from estimator.slam.candidates import stacked_candidates
-from estimator.slam.config import GaussianConfig
-from estimator.slam.engine import Engine, GaussianEngine, Prior, epoch_rng
-from estimator.slam.estimate import Estimate
+from estimator.slam.gaussian.config import GaussianConfig
+from estimator.slam.gaussian.engine import GaussianEngine
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.particle.engine import ParticleEngine
+from estimator.slam.protocol import Engine, Estimate, Prior, epoch_rng, stacked_candidates
 from estimator.threads import one_blas_thread
 
 __all__ = ["ENGINES", "METHODS", "config_for", "engine_for", "run_slam"]
@@ -54,9 +53,10 @@ def config_for(measurements: MeasurementSet, base: Config | None = None, engine:
         raise ConfigurationError(f"engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
     stated: Mapping[str, Any] = measurements.settings.get("measurement_model", {})
     base = _CONFIGS[engine]() if base is None else base
-    names = {entry.name for entry in fields(GaussianConfig)}
-    if not names.issuperset(stated):
-        raise ConfigurationError(f"measurement_model: expected fields of GaussianConfig, got {dict(stated)}")
+    if not set(GaussianConfig.names()).issuperset(stated):
+        raise ConfigurationError(f"measurement_model: expected names of settings, got {dict(stated)}")
+    if isinstance(base, GaussianConfig):
+        return base.but(**stated)
     own = {entry.name for entry in fields(base)}
     return replace(base, **{name: value for name, value in stated.items() if name in own})
 
@@ -129,7 +129,8 @@ def run_slam(
         estimates.append(chosen.estimate(state))
         if progress is not None:
             progress(done + 1, len(measurements.epochs))
-    settings = {"slam": asdict(config), "measurements": dict(measurements.settings)}
+    slam = config.flat() if isinstance(config, GaussianConfig) else asdict(config)
+    settings = {"slam": slam, "measurements": dict(measurements.settings)}
     return collect(measurements, estimates, method, engine, seed, settings)
 
 

@@ -5,7 +5,6 @@ Engine-agnostic: an engine hands its hypotheses and plain values over (:func:`lo
 
 from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.anchors.initialise import SearchInput, locate_anchors
-from estimator.slam.anchors.observations import RecentPaths, RecentTrack
 from estimator.slam.anchors.schedule import is_due
 
-__all__ = ["AnchorSearchConfig", "RecentPaths", "RecentTrack", "SearchInput", "is_due", "locate_anchors"]
+__all__ = ["AnchorSearchConfig", "SearchInput", "is_due", "locate_anchors"]

@@ -12,8 +12,6 @@ mixture reduction.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +24,8 @@ from estimator.slam.anchors.joint_update import (
     weigh_labellings,
 )
 
-if TYPE_CHECKING:
-    from estimator.slam.gaussian.state import Rows as Hypotheses
-    from estimator.slam.layout import Layout
+from estimator.slam.models.hypotheses import Hypotheses
+from estimator.slam.models.state_vector import Layout
 
 __all__ = ["branch_hypotheses"]
 
@@ -89,10 +86,10 @@ def branch_hypotheses(
     where = Positions(xy.start, clocks, layout.walls.start)
     row, child, weight = _children(base, where, places, float(hypotheses.log_weight.max()), limits)
     mean, covariance = updated(base.mean, base.covariance, where, places, row, child)
-    new = replace(base, covariance=base.covariance[:, :0, :0]).take(row)  # the covariances are made already
+    new = base._replace(covariance=base.covariance[:, :0, :0]).take(row)  # the covariances are made already
     new.located[:, anchor] = True
     new.visibility[:, anchor] = fresh_visibility
-    return replace(new, log_weight=weight, mean=mean, covariance=covariance)
+    return new._replace(log_weight=weight, mean=mean, covariance=covariance)
 
 
 def _children(

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +25,13 @@ from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.anchors.joint_update import BranchLimits, PlacePaths
 from estimator.slam.anchors.labellings import labellings
 from estimator.slam.anchors.likelihood import walls_between
-from estimator.slam.anchors.observations import NoiseModel, RecentPaths, RecentTrack, observations_of
+from estimator.slam.anchors.observations import NoiseModel, observations_of
 from estimator.slam.anchors.schedule import is_doubtful, is_early
 from estimator.slam.anchors.search import Candidates, Scene, evidence_at, find_places, known_cell, scene_of
 from estimator.slam.anchors.seeds import Cells, SearchLimits
-
-if TYPE_CHECKING:
-    from estimator.slam.gaussian.state import Rows as Hypotheses
-    from estimator.slam.layout import Layout
+from estimator.slam.models.hypotheses import Hypotheses
+from estimator.slam.models.path_buffer import PathBuffer
+from estimator.slam.models.state_vector import Layout
 
 __all__ = ["SearchInput", "locate_anchors"]
 
@@ -42,7 +41,7 @@ _KNOWN_M2 = 1e-12  # variance of an anchor known from the start, left by roundin
 
 
 class PathArrays(Protocol):
-    """Paths (K, M) of an epoch: :class:`estimator.slam.gaussian.paths.PathTable`."""
+    """Paths (K, M) of an epoch: :class:`estimator.slam.models.epoch_paths.EpochPaths`."""
 
     @property
     def length_m(self) -> Array:
@@ -77,10 +76,8 @@ class SearchInput:
         Number of the present epoch.
     paths : PathArrays, shape (K, M)
         Its paths.
-    track : RecentTrack
-        The epochs before it.
-    heard : RecentPaths
-        The paths of these epochs.
+    heard : PathBuffer
+        The epochs before it: track and paths.
     gain_offset_db : ndarray, shape (K,)
         To be taken off all losses of each anchor, dB; NaN where it is not known.
     noise : NoiseModel
@@ -97,8 +94,7 @@ class SearchInput:
     confirmed: NDArray[np.bool_]
     epoch: int
     paths: PathArrays
-    track: RecentTrack
-    heard: RecentPaths
+    heard: PathBuffer
     gain_offset_db: Array
     noise: NoiseModel
     fresh_visibility: Array
@@ -163,7 +159,7 @@ def locate_anchors(hypotheses: Hypotheses, given: SearchInput, config: AnchorSea
     Hypotheses
         The same object if no anchor started.
     """
-    early = is_early(len(given.track.epoch), config)
+    early = is_early(len(given.heard.track.epoch), config)
     due = [
         k
         for k in range(given.layout.anchors)
@@ -181,8 +177,8 @@ def locate_anchors(hypotheses: Hypotheses, given: SearchInput, config: AnchorSea
             continue
         searches = [_searched(hypotheses, given, k, group, len(groups), budget, config) for group in groups]
         hypotheses = _branched(hypotheses, searches, given, config.place_margin_nats, budget, config)
-    if early and len(given.track.epoch) and not hypotheses.located.any():
-        everyone = np.arange(len(hypotheses))
+    if early and len(given.heard.track.epoch) and not hypotheses.located.any():
+        everyone = np.arange(hypotheses.number)
         for k in np.argsort(-np.sum(given.paths.valid, axis=1), kind="stable").tolist():
             search = _searched(hypotheses, given, k, everyone, 1, budget, config)
             hypotheses = _branched(hypotheses, [search], given, -np.inf, budget, config)
@@ -205,7 +201,7 @@ def _in_turn(
 
 def _doubtful(hypotheses: Hypotheses, given: SearchInput, k: int, config: AnchorSearchConfig) -> bool:
     """Whether a located anchor should be searched again."""
-    before = len(given.track.epoch)
+    before = len(given.heard.track.epoch)
     if given.epoch % config.recheck_stride or is_early(before, config):
         return False
     best, place = hypotheses.best, given.layout.anchor_xy(k)
@@ -266,7 +262,7 @@ def _searched(
     n = int(given.paths.valid[k].sum())
     now = given.paths.length_m[k, :n], given.paths.std_m[k, :n], given.paths.excess_loss_db[k, :n]
     variance, gain = 0.5 * float(np.trace(covariance[:2, :2])), float(given.gain_offset_db[k])
-    seen = observations_of(k, mean[:2], variance, now, given.track, given.heard, gain, given.noise, config)
+    seen = observations_of(k, mean[:2], variance, now, given.heard, gain, given.noise, config)
     scene = scene_of(seen, vrp, np.array(spread).reshape(-1, 2, 2), given.noise, config, extra)
     limits = _limits(share, len(cells.bias_m), scene, config)
     found = find_places(scene, cells, limits, given.prune_nats, config)

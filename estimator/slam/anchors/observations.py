@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.anchors.config import AnchorSearchConfig
+from estimator.slam.models.path_buffer import PathBuffer
 
-__all__ = ["NoiseModel", "Observations", "RecentPaths", "RecentTrack", "gathered", "observations_of"]
+__all__ = ["NoiseModel", "Observations", "gathered", "observations_of"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -48,47 +49,6 @@ class NoiseModel(Protocol):
     @property
     def height2_std_m2(self) -> float:
         """Its standard deviation."""
-
-
-class RecentTrack(NamedTuple):
-    """The agent at the W epochs before the present one, oldest first.
-
-    Parameters
-    ----------
-    epoch : ndarray of int64, shape (W,)
-        Their numbers.
-    position_m : ndarray, shape (W, 2)
-        Positions, gauge frame, metres.
-    std_m : ndarray, shape (W,)
-        Standard deviations per axis, metres.
-    """
-
-    epoch: Index
-    position_m: Array
-    std_m: Array
-
-
-class RecentPaths(NamedTuple):
-    """The paths of these epochs.
-
-    Parameters
-    ----------
-    epoch, anchor : ndarray of int64, shape (N,)
-        Epoch and anchor of each.
-    length_m, std_m : ndarray, shape (N,)
-        Lengths and their standard deviations, metres.
-    excess_loss_db : ndarray, shape (N,)
-        Loss beyond free space, dB; NaN if unknown.
-    unassociated : ndarray of bool, shape (N,)
-        Whether no feature explained it.
-    """
-
-    epoch: Index
-    anchor: Index
-    length_m: Array
-    std_m: Array
-    excess_loss_db: Array
-    unassociated: NDArray[np.bool_]
 
 
 class Observations(NamedTuple):
@@ -129,8 +89,7 @@ def observations_of(
     position_m: Array,
     variance_m2: float,
     now: tuple[Array, Array, Array],
-    track: RecentTrack,
-    heard: RecentPaths,
+    heard: PathBuffer,
     gain_offset_db: float,
     noise: NoiseModel,
     config: AnchorSearchConfig,
@@ -145,7 +104,7 @@ def observations_of(
         The agent at the present epoch, metres, and its variance per axis, square metres.
     now : tuple of ndarray, shape (M,)
         Lengths, standard deviations and excess losses of the present paths.
-    track, heard
+    heard : PathBuffer
         The epochs before.
     gain_offset_db : float
         To be taken off all losses; NaN if unknown.
@@ -153,6 +112,7 @@ def observations_of(
         Models.
     """
     positions, variances, parts = [position_m], [variance_m2], [now]
+    track = heard.track
     stride = 1 if len(track.epoch) < config.search_stride else config.search_stride
     own = heard.anchor == anchor
     for i in range(len(track.epoch) - 1, -1, -stride):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.compiled import compiled
 
-__all__ = ["ITERATIONS", "associate"]
+__all__ = ["ITERATIONS", "associate", "associate_all"]
 
 Array = NDArray[np.float64]
 ITERATIONS: Final = 12  # rounds of messages at most: loops of two tracks and two paths settle in fewer
@@ -98,3 +98,13 @@ def associate(ratio: Array, probability: Array, message: Array, iterations: int 
         probability[row[e], column[e]] = weighted[e] / (1.0 + by_feature[row[e]])
         message[row[e], column[e]] = back[e]
     return evidence
+
+
+@compiled
+def associate_all(ratio: Array, iterations: int = ITERATIONS) -> tuple[Array, Array, Array]:
+    """:func:`associate` of N independent graphs (N, F, M): probabilities, messages and log evidences (N,)."""
+    probability, message = np.empty(ratio.shape), np.empty(ratio.shape)
+    evidence = np.empty(ratio.shape[0])
+    for i in range(ratio.shape[0]):
+        evidence[i] = associate(ratio[i], probability[i], message[i], iterations)
+    return probability, message, evidence

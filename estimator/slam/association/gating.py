@@ -35,6 +35,8 @@ class Gating(Settings):
     pair_gate_std_m : float
         Double bounces predicted worse than this are left out of the association: while the
         walls are uncertain they would take the paths of others, metres.
+    pair_std_m : float
+        Double bounces predicted better than this inform the filter, metres.
     pair_margin : float
         Double bounces farther than this many gates from every measurement are not looked at.
     bent_share : float
@@ -43,6 +45,7 @@ class Gating(Settings):
 
     gate_sigma: float = positive(4.0)
     pair_gate_std_m: float = positive(0.4)
+    pair_std_m: float = positive(0.5)
     pair_margin: float = positive(1.5)
     bent_share: float = positive(0.5)
 

@@ -1,7 +1,7 @@
 """The state before the first epoch, from the walls sensed at the start or from known anchors.
 
 If the anchors are known, they fix the frame. If not, the reference wall (the one whose
-bearing is known best) defines the gauge frame (:mod:`estimator.slam.layout`): its
+bearing is known best) defines the gauge frame (:mod:`estimator.slam.models.state_vector`): its
 bearing error becomes the state ``theta``, the rotation of the whole map about RP, which
 passive measurements cannot see.
 """
@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from estimator.errors import InputError
 from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
-from estimator.slam.config import GaussianConfig
-from estimator.slam.gaussian.levels import first_levels
-from estimator.slam.gaussian.slots import fresh_visibility
-from estimator.slam.gaussian.state import NOWHERE_M, GaussianState, Rows, Slots
-from estimator.slam.layout import Layout
+from estimator.slam.gaussian.config import GaussianConfig
+from estimator.slam.gaussian.state import GaussianState, Slots
+from estimator.slam.models.hypotheses import Hypotheses
+from estimator.slam.models.path_buffer import PathBuffer
+from estimator.slam.models.path_loss import first_losses
+from estimator.slam.models.state_vector import NOWHERE_M, THETA, Layout
+from estimator.slam.models.visibility import prior_visibility
 
 __all__ = ["start", "state_of"]
 
@@ -85,15 +87,15 @@ def start(
     if anchors_m is None:
         vrps[0, 1] = 0.0
     mean[layout.walls] = vrps.ravel()
-    covariance[0:2, 0:2] = config.start_std_m**2 * np.eye(2)
-    covariance[2:4, 2:4] = config.velocity_std_m_s**2 * np.eye(2)
+    covariance[0:2, 0:2] = config.motion.start_std_m**2 * np.eye(2)
+    covariance[2:4, 2:4] = config.motion.velocity_std_m_s**2 * np.eye(2)
     for k in range(layout.anchors):
         place = (NOWHERE_M, 0.0) if anchors_m is None else anchors_m[k]
-        mean[layout.anchor(k)] = *place, config.height2_mean_m2, 0.0
-        covariance[layout.height2(k), layout.height2(k)] = config.height2_std_m2**2
+        mean[layout.anchor(k)] = *place, config.noise.height2_mean_m2, 0.0
+        covariance[layout.height2(k), layout.height2(k)] = config.noise.height2_std_m2**2
     biases = [layout.bias(k) for k in range(layout.anchors)]
-    together = np.ones((len(biases), len(biases))) if config.clock_bias_common else np.eye(len(biases))
-    covariance[np.ix_(biases, biases)] = config.clock_bias_std_m**2 * together
+    together = np.ones((len(biases), len(biases))) if config.noise.clock_bias_common else np.eye(len(biases))
+    covariance[np.ix_(biases, biases)] = config.noise.clock_bias_std_m**2 * together
 
     return state_of(
         layout,
@@ -137,13 +139,13 @@ def state_of(
         Direction of the x axis in the estimator's frame.
     """
     anchors, count = layout.anchors, layout.slots
-    rows = Rows(
+    hypotheses = Hypotheses(
         log_weight=np.zeros(1),
         mean=mean[None],
         covariance=covariance[None],
         located=located[None],
         present=np.ones((1, count), dtype=bool),
-        visibility=np.tile(fresh_visibility(layout), (1, anchors, 1)),
+        visibility=np.tile(prior_visibility(layout, config.visibility), (1, anchors, 1)),
         support=np.zeros((1, count), dtype=np.int64),
     )
     nobody = np.full(count, -1)
@@ -154,6 +156,7 @@ def state_of(
         np.zeros((count, 2)),
         nobody.copy(),
         np.full((count, anchors, 2, 2), np.nan),
+        np.zeros(count),
     )
     return GaussianState(
         anchor_names=anchor_names,
@@ -164,11 +167,10 @@ def state_of(
         log_evidence=0.0,
         next_wall_id=count,
         shared=layout.shared,
-        rows=rows,
+        hypotheses=hypotheses,
         slots=slots,
-        trail=np.empty((0, 4)),
-        heard=np.empty((0, 6)),
-        levels_db=first_levels(anchors, config),
+        buffer=PathBuffer.empty(),
+        losses_db=first_losses(anchors, config.noise.gain_offset_std_db, config.path_loss),
     )
 
 
@@ -193,12 +195,12 @@ def _wall_prior(
         errors[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = to_gauge @ wall.covariance_m2 @ to_gauge.T
     linear = np.zeros((layout.size, 2 * count))
     if turning:
-        linear[layout.THETA, 1] = 1.0 / vrps[0, 0]
+        linear[THETA, 1] = 1.0 / vrps[0, 0]
     for i in range(count):
-        rows = layout.wall(i)
-        linear[rows, 2 * i : 2 * i + 2] += np.eye(2)
+        wall_columns = layout.wall(i)
+        linear[wall_columns, 2 * i : 2 * i + 2] += np.eye(2)
         quarter_turn = np.array([-vrps[i, 1], vrps[i, 0]])
-        linear[rows, :] -= np.outer(quarter_turn, linear[layout.THETA])
+        linear[wall_columns, :] -= np.outer(quarter_turn, linear[THETA])
     if turning:
         linear[layout.wall(0).start + 1] = 0.0
     return np.asarray(linear @ errors @ linear.T)

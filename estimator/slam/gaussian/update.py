@@ -1,188 +1,336 @@
-"""One epoch of path lengths into the hypotheses: associate, weigh, correct.
+"""One epoch of path lengths into the hypotheses: gate, associate, branch, update.
 
 Two passes. Pairs of feature and measurement that are beyond doubt are taken first,
 all at once and with the joint density of their innovations; what is left is
-predicted again and settled (:mod:`estimator.slam.gaussian.doubts`).
+predicted again and resolved (:mod:`estimator.slam.gaussian.branching`).
 Where two paths cross, the second pass is much surer than the first would be; that the two are exchanged
-is weighed exactly (:mod:`estimator.slam.gaussian.swaps`).
+is weighed exactly (:mod:`estimator.slam.association.exchange`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.slam.association import associate
-from estimator.slam.config import GaussianConfig
-from estimator.slam.features import predict_paths
-from estimator.slam.gaussian.azimuths import take_azimuths
-from estimator.slam.gaussian.doubts import Doubts, settle
-from estimator.slam.gaussian.hearing import Hearing, take
-from estimator.slam.gaussian.paths import PathTable
-from estimator.slam.gaussian.swaps import exchange_odds
-from estimator.slam.gaussian.turning import turned
-from estimator.slam.layout import Layout
+from estimator.compiled import compiled
+from estimator.slam.association.belief_propagation import associate
+from estimator.slam.association.exchange import best_exchange
+from estimator.slam.association.gating import GatedPairs, GateModel, gate, path_variance, still_fitting
+from estimator.slam.gaussian.branches import Branches, empty_branches
+from estimator.slam.gaussian.branching import BranchModel, resolve
+from estimator.slam.gaussian.polar_correction import correct_along_circles
+from estimator.slam.models.directions import update_by_directions
+from estimator.slam.models.epoch_paths import EpochPaths
+from estimator.slam.models.features import active_features, possible_paths, sources
+from estimator.slam.models.hypotheses import Hypotheses
+from estimator.slam.models.kalman import joint_update
+from estimator.slam.models.motion import predict_motion
+from estimator.slam.models.path_lengths import path_lengths
+from estimator.slam.models.settings import Settings, not_negative, probability
+from estimator.slam.models.state_vector import Layout
 
-__all__ = ["Correction", "correct"]
+__all__ = ["Corrections", "EpochUpdate", "UpdateModel", "predict_hypotheses", "update_hypotheses"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_SURE, _EXCHANGED = 0.998, 0.002  # association probability beyond doubt; odds of an exchange in doubt
-_LIKELY_NATS = 5.0  # from the best row of its run
+Index = NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """What an epoch does to the rows.
+@dataclass(frozen=True)
+class Corrections(Settings):
+    """How corrections are taken.
 
     Parameters
     ----------
-    parent : ndarray of int64, shape (R,)
-        The row of the input that each row of the output comes from.
-    mean, covariance : ndarray, shapes (R, n) and (R, n, n)
-        Corrected Gaussians.
-    visibility : ndarray, shape (R, K, F)
-        Updated visibility.
-    heard : ndarray, shape (R, K, F)
-        Probability that the feature was measured.
-    explained : ndarray, shape (R, K, M)
-        Probability that a measurement comes from a feature.
-    log_evidence : ndarray, shape (R,)
-        Log evidence of the epoch over "all is clutter".
+    most_turn_rad : float
+        Largest turn of a wall that is moved along its circle round an anchor
+        (:mod:`estimator.slam.gaussian.polar_correction`); 0 moves all walls as they are.
+    sure_expected : float
+        A bounce tells how far a wall extends if it was expected this surely: one detection may be clutter.
     """
 
-    parent: NDArray[np.int64]
-    mean: Array
-    covariance: Array
-    visibility: Array
-    heard: Array
-    explained: Array
-    log_evidence: Array
+    most_turn_rad: float = not_negative(0.3)
+    sure_expected: float = probability(0.7)
 
 
-def correct(
-    mean: Array,
-    covariance: Array,
-    visibility: Array,
-    active: Mask,
-    paths: PathTable,
-    layout: Layout,
-    config: GaussianConfig,
-    clutter: Array | float | None = None,
-    run: NDArray[np.int64] | None = None,
-    log_weight: Array | None = None,
-) -> Correction:
-    """Take one epoch of path lengths into all rows.
+class UpdateModel(NamedTuple):
+    """What the compiled update needs to know, beside gates and limits of branching.
 
     Parameters
     ----------
-    mean, covariance : ndarray, shapes (R, n) and (R, n, n)
-        Predicted Gaussians.
-    visibility : ndarray, shape (R, K, F)
-        Prior probability that a feature can be heard.
-    active : ndarray of bool, shape (R, K, F)
-        Features the row has (anchor located, walls present).
-    paths : PathTable
-        The epoch's paths (K, M), or those of each row (R, K, M); azimuths in the gauge frame.
+    detection_probability : float
+        Probability that a visible feature is measured.
+    agree_rad, direction_gate_sigma : float
+        As in :class:`estimator.slam.models.directions.Directions`.
+    most_turn_rad : float
+        Largest turn of a wall that is moved along its circle; 0 moves all walls as they are.
+    """
+
+    detection_probability: float
+    agree_rad: float
+    direction_gate_sigma: float
+    most_turn_rad: float
+
+
+class EpochUpdate(NamedTuple):
+    """What an epoch does to the hypotheses.
+
+    Parameters
+    ----------
+    hypotheses : Hypotheses
+        Corrected; log weights include the evidence of the epoch and are not normalised.
+    parent : ndarray of int64, shape (R,)
+        The hypothesis that each comes from.
+    detected : ndarray, shape (R, K, F)
+        Probability that each feature was measured.
+    explained : ndarray, shape (R, K, M)
+        Probability that each measurement comes from a feature.
+    """
+
+    hypotheses: Hypotheses
+    parent: Index
+    detected: Array
+    explained: Array
+
+
+@compiled
+def predict_hypotheses(
+    hypotheses: Hypotheses, step_s: float, acceleration_variance: float, appear: float, vanish: float
+) -> Hypotheses:
+    """The agent moves on by a step; features may appear and vanish."""
+    mean, covariance = hypotheses.mean.copy(), hypotheses.covariance.copy()
+    visibility = hypotheses.visibility.copy()
+    for r in range(mean.shape[0]):
+        predict_motion(mean[r], covariance[r], step_s, acceleration_variance)
+        flat = visibility[r].ravel()
+        for i in range(flat.size):
+            flat[i] = (1.0 - vanish) * flat[i] + appear * (1.0 - flat[i])
+    return Hypotheses(
+        hypotheses.log_weight,
+        mean,
+        covariance,
+        hypotheses.located,
+        hypotheses.present,
+        visibility,
+        hypotheses.support,
+    )
+
+
+@compiled
+def _label_sure(gated: GatedPairs, layout: Layout, sure: float, exchange: float) -> Index:
+    """The measurement (C,) of each feature that belief propagation does not doubt, -1 for none."""
+    label = np.full(gated.anchor.size, -1)
+    for k in range(layout.anchors):
+        begin, end = gated.begin[k], gated.begin[k + 1]
+        if begin == end:
+            continue
+        ratio = gated.ratio[begin:end]
+        probability, message = np.empty(ratio.shape), np.empty(ratio.shape)
+        associate(ratio, probability, message)
+        found = np.full(end - begin, -1)
+        for c in range(end - begin):
+            for j in range(ratio.shape[1]):
+                if probability[c, j] > sure:
+                    found[c] = j
+        for c in range(end - begin):
+            _, odds = best_exchange(ratio, found, c)
+            if odds < exchange:
+                label[begin + c] = found[c]
+    return label
+
+
+@compiled
+def _take_sure(
+    layout: Layout,
+    model: UpdateModel,
+    range_std_m: float,
+    branches: Branches,
+    r: int,
+    gated: GatedPairs,
+    label: Index,
+    chance: Array,
+    active: Mask,
+    paths: EpochPaths,
+    clutter: Array,
+) -> None:
+    """Correct hypothesis ``r`` by the pairs that are beyond doubt; and the silence of all other features."""
+    used = np.empty(label.size, dtype=np.int64)
+    innovation, variance = np.empty(label.size), np.empty(label.size)
+    anchor, feature = np.empty(label.size, dtype=np.int64), np.empty(label.size, dtype=np.int64)
+    azimuth, std = np.empty(label.size), np.empty(label.size)
+    m = directions = 0
+    log_evidence = 0.0
+    for c in range(label.size):
+        j = label[c]
+        if j < 0:
+            continue
+        k, f = gated.anchor[c], gated.feature[c]
+        used[m], innovation[m] = c, gated.innovation_m[c, j]
+        variance[m] = path_variance(paths, k, j, range_std_m)
+        m += 1
+        log_evidence += np.log(max(chance[k, f], 1e-12) / clutter[k])
+        branches.detected[r, k, f] = 1.0
+        branches.explained[r, k, j] = 1.0
+        branches.free[r, k, j] = False
+        if np.isfinite(paths.azimuth_std_rad[k, j]):
+            anchor[directions], feature[directions] = k, f
+            azimuth[directions], std[directions] = paths.azimuth_rad[k, j], paths.azimuth_std_rad[k, j]
+            directions += 1
+    mean, covariance = branches.mean[r], branches.covariance[r]
+    if m:
+        used = used[:m]
+        log_evidence += joint_update(
+            mean,
+            covariance,
+            gated.position[used],
+            gated.value[used],
+            gated.entries[used],
+            innovation[:m],
+            variance[:m],
+        )
+    for k in range(chance.shape[0]):
+        for f in range(chance.shape[1]):
+            if chance[k, f] > 0.0 and branches.detected[r, k, f] == 0.0:
+                log_evidence += np.log1p(-chance[k, f])
+    if directions:
+        log_evidence += update_by_directions(
+            layout,
+            mean,
+            covariance,
+            sources(layout, mean, active),
+            anchor[:directions],
+            feature[:directions],
+            azimuth[:directions],
+            std[:directions],
+            paths.heading_held,
+            model.agree_rad,
+            model.direction_gate_sigma,
+        )
+    branches.log_evidence[r] = log_evidence
+
+
+@compiled
+def update_hypotheses(
+    layout: Layout,
+    model: UpdateModel,
+    gates: GateModel,
+    limits: BranchModel,
+    hypotheses: Hypotheses,
+    confirmed: Mask,
+    owner: Index,
+    paths: EpochPaths,
+    clutter: Array,
+) -> EpochUpdate:
+    """Take one epoch of paths into all hypotheses.
+
+    Time is linear in hypotheses, anchors and measurements, and quadratic in walls (their pairs) and in the
+    state vector; memory is that of ``most_branches`` hypotheses.
+
+    Parameters
+    ----------
     layout : Layout
         Positions in the state vector.
-    config : GaussianConfig
-        Models.
-    clutter : ndarray, shape (K,) or (R, K), optional
-        Intensity per metre of paths that no feature gives; by default the configuration's.
-    run : ndarray of int64, shape (R,), optional
-        The run that each row belongs to; by default all are one run's.
-    log_weight : ndarray, shape (R,), optional
-        Log weights of the rows of each run; by default all are alike.
-
-    Returns
-    -------
-    Correction
+    model, gates, limits : UpdateModel, GateModel, BranchModel
+        Models and limits.
+    hypotheses : Hypotheses
+        Predicted hypotheses.
+    confirmed : ndarray of bool, shape (L,)
+        Slots that count as found.
+    owner : ndarray of int64, shape (L,)
+        The anchor of each virtual anchor.
+    paths : EpochPaths
+        The measurements, azimuths in the gauge frame.
+    clutter : ndarray, shape (K,)
+        Intensity per metre of paths that no feature gives.
     """
-    before = mean
-    epoch = Hearing.of(paths, clutter, len(mean), layout, config)
-    run = np.zeros(len(mean), dtype=np.int64) if run is None else run
-    prediction = predict_paths(mean, layout)
-    active = active & prediction.possible
-    chance = np.where(active, visibility * config.detection_probability, 0.0)
-    free = np.broadcast_to(epoch.paths.valid, (len(mean), *epoch.paths.valid.shape[1:]))
-
-    # first pass: what belief propagation does not doubt
-    near = epoch.near(
-        mean, covariance, prediction, chance, epoch.beside(prediction.length_m, chance, free), free
-    )
-    row, anchor, _ = near.at
-    sure: Mask = np.asarray(associate(near.ratio).probability > _SURE, dtype=bool)
-    label = np.where(sure.any(axis=-1), sure.argmax(axis=-1), -1)
-    taken: Mask = np.asarray((label >= 0) & (exchange_odds(near.ratio, label) < _EXCHANGED).all(axis=-1))
-    label = np.where(taken, label, -1)  # (R, K, C)
-    used: Mask = np.asarray((sure & taken[..., None]).any(axis=-2))  # (R, K, M)
-    first = near.innovation[row, anchor, np.arange(label.shape[-1]), label]
-    noise = np.broadcast_to(epoch.variance, free.shape)[row, anchor, label]
-    own = chance[near.at]
-    prior = np.log(np.maximum(own, 1e-12) / epoch.clutter)
-    mean, covariance, log_density = take(mean, covariance, near, first, noise, taken)
-    heard = np.zeros(chance.shape)
-    heard[(*np.nonzero(taken)[:2], near.feature[taken])] = 1.0
-    silence = np.log1p(-chance, where=(chance > 0.0) & (heard == 0.0), out=np.zeros(chance.shape))
-    log_evidence = log_density + np.where(taken, prior, 0.0).sum(axis=(1, 2)) + silence.sum(axis=(1, 2))
-
-    # second pass: everything else, predicted again, where a measurement might fit a feature
-    free = free & ~used
-    left = epoch.fitting(near, free, mean - before) & ~taken
-    torn = np.asarray(left.any(axis=(1, 2)))
-    doubt = torn.nonzero()[0]
-    parent, explained = np.arange(len(mean)), used.astype(np.float64)
-    if doubt.size:
-        could = np.zeros(chance.shape, dtype=bool)
-        could[(*np.nonzero(left)[:2], near.feature[left])] = True
-        weight = log_evidence if log_weight is None else log_weight + log_evidence
-        best = np.full(run.max() + 1, -np.inf)
-        np.maximum.at(best, run, weight)
-        done = settle(
-            Doubts(
-                np.arange(doubt.size),
-                run[doubt],
-                weight[doubt] > best[run[doubt]] - _LIKELY_NATS,
-                mean[doubt],
-                covariance[doubt],
-                chance[doubt],
-                could[doubt],
-                free[doubt],
-                np.zeros((doubt.size, *chance.shape[1:])),
-                np.zeros((doubt.size, *free.shape[1:])),
-                np.zeros(doubt.size),
-            ),
-            epoch.of_rows(doubt),
-            np.bincount(run),
+    before = hypotheses.mean
+    count, anchors, features = hypotheses.visibility.shape
+    measured = paths.length_m.shape[1]
+    branches = empty_branches(count, before.shape[1], anchors, features, measured)
+    chance = np.zeros((count, anchors, features))
+    possible = np.zeros((count, anchors, features), dtype=np.bool_)
+    ambiguous, doubtful = np.empty(count, dtype=np.int64), 0
+    for r in range(count):
+        branches.parent[r] = r
+        branches.mean[r] = before[r]
+        branches.covariance[r] = hypotheses.covariance[r]
+        for k in range(anchors):
+            for j in range(paths.number[k]):
+                branches.free[r, k, j] = True
+        active = active_features(layout, hypotheses.located[r], hypotheses.present[r], confirmed, owner)
+        source = sources(layout, before[r], active)
+        slanted = path_lengths(layout, before[r], source)
+        possible[r] = possible_paths(layout, before[r], source, active)
+        for k in range(anchors):
+            for f in range(features):
+                if possible[r, k, f]:
+                    chance[r, k, f] = hypotheses.visibility[r, k, f] * model.detection_probability
+        gated = gate(
+            layout,
+            gates,
+            before[r],
+            hypotheses.covariance[r],
+            source,
+            slanted,
+            chance[r],
+            possible[r],
+            branches.free[r],
+            paths,
+            clutter,
         )
-        count = np.ones(len(mean), dtype=np.int64)
-        count[doubt] = np.bincount(done.parent, minlength=doubt.size)
-        parent = np.repeat(parent, count)
-        again = torn[parent].nonzero()[0]
-        if len(parent) > len(mean):
-            before, mean, covariance = before[parent], mean[parent], covariance[parent]
-            log_evidence, heard, explained = log_evidence[parent], heard[parent], explained[parent]
-            active, visibility = active[parent], visibility[parent]
-        elif mean is before:  # nothing was beyond doubt
-            mean, covariance = mean.copy(), covariance.copy()
-        mean[again], covariance[again] = done.mean, done.covariance
-        log_evidence[again] += done.log_evidence
-        heard[again] = np.maximum(heard[again], done.heard)
-        explained[again] = np.maximum(explained[again], done.explained)
-
-    # directions of the first pass's paths (those of the second only helped to associate)
-    paths = epoch.paths.of_rows(parent)
-    mean, covariance, log_direction = take_azimuths(
-        mean, covariance, near.feature[parent], label[parent], paths, layout
+        label = _label_sure(gated, layout, limits.sure_probability, limits.exchange_odds)
+        _take_sure(
+            layout, model, gates.range_std_m, branches, r, gated, label, chance[r], active, paths, clutter
+        )
+        moved = branches.mean[r] - before[r]
+        left = False
+        for c in range(label.size):
+            if label[c] < 0 and still_fitting(gates, gated, c, moved, branches.free[r], paths):
+                branches.could[r, gated.anchor[c], gated.feature[c]] = True
+                left = True
+        if left:
+            ambiguous[doubtful] = r
+            doubtful += 1
+    if doubtful:
+        weight = hypotheses.log_weight + branches.log_evidence[:count]
+        likely = weight > weight.max() - limits.likely_nats
+        branches, count = resolve(
+            layout, limits, gates, branches, count, ambiguous[:doubtful], likely, chance, paths, clutter
+        )
+    order = np.argsort(branches.parent[:count], kind="mergesort")
+    parent = branches.parent[order]
+    mean, covariance = branches.mean[order], branches.covariance[order]
+    detected, explained = branches.detected[order], branches.explained[order]
+    visibility = hypotheses.visibility[parent]
+    support = hypotheses.support[parent]
+    for b in range(count):
+        r = parent[b]
+        for k in range(anchors):
+            for f in range(features):
+                if possible[r, k, f]:
+                    seen = visibility[b, k, f]
+                    missed = 1.0 - seen * model.detection_probability
+                    seen = seen * (1.0 - model.detection_probability) / missed
+                    visibility[b, k, f] = detected[b, k, f] + (1.0 - detected[b, k, f]) * seen
+        for i in range(layout.slots):
+            for k in range(anchors):
+                if detected[b, k, 1 + i] > 0.5:
+                    support[b, i] += 1
+                    break
+        if layout.shared and model.most_turn_rad > 0.0:
+            correct_along_circles(
+                layout, before[r], mean[b], covariance[b], hypotheses.located[r], model.most_turn_rad
+            )
+    corrected = Hypotheses(
+        hypotheses.log_weight[parent] + branches.log_evidence[order],
+        mean,
+        covariance,
+        hypotheses.located[parent],
+        hypotheses.present[parent],
+        visibility,
+        support,
     )
-    log_evidence = log_evidence + log_direction
-    seen = (
-        visibility * (1.0 - config.detection_probability) / (1.0 - visibility * config.detection_probability)
-    )
-    visibility = np.where(active, heard + (1.0 - heard) * seen, visibility)
-    if layout.shared:
-        mean, covariance = turned(before, mean, covariance, active[:, :, 0], layout)
-    return Correction(parent, mean, covariance, visibility, heard, explained, log_evidence)
+    return EpochUpdate(corrected, parent, detected, explained)

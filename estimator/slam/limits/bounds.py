@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import ConfigurationError, InputError
-from estimator.slam.layout import Layout
 from estimator.slam.limits.scenario import Scenario, Sensing
-from estimator.slam.motion import process_noise, transition
+from estimator.slam.models.motion import process_noise, transition
+from estimator.slam.models.state_vector import AGENT, POSITION
 from estimator.slam.smoothing.arrowhead import Arrowhead, eliminate
 
 __all__ = ["Limit", "expected_distance", "limit"]
@@ -168,7 +168,7 @@ def limit(
     covariances = _recursive(scenario, sensing) if kind == "recursive" else _batch(scenario, sensing)
     layout, states = scenario.layout, scenario.states
     epochs = len(states)
-    position = covariances[:, layout.POSITION, layout.POSITION]
+    position = covariances[:, POSITION, POSITION]
     rotation, derotated = np.zeros(epochs), position.copy()
     if not (sensing.anchors_known or sensing.walls_known):
         for t in range(epochs):
@@ -192,7 +192,7 @@ def _recursive(scenario: Scenario, sensing: Sensing) -> Array:
     """Covariances (T, n, n) of the filter that knows the truth's derivatives."""
     basis, variance = scenario.prior(sensing)
     covariance = (basis * variance) @ basis.T
-    agent = Layout.AGENT
+    agent = AGENT
     move = transition(scenario.step_s)
     drive = process_noise(scenario.step_s, sensing.acceleration_variance)
     result = []
@@ -219,7 +219,7 @@ def _batch(scenario: Scenario, sensing: Sensing) -> Array:
     chain, border = np.zeros((epochs, agent, agent)), np.zeros((epochs, agent, size))
     corner = np.diag(1.0 / variance[first:])
     for t, seen in enumerate(observations):
-        moving, standing = seen.jacobian[:, Layout.AGENT], seen.jacobian @ still
+        moving, standing = seen.jacobian[:, AGENT], seen.jacobian @ still
         weighted = np.linalg.solve(seen.covariance, np.concatenate([moving, standing], axis=1))
         chain[t] += moving.T @ weighted[:, :agent]
         border[t] = moving.T @ weighted[:, agent:]
@@ -234,10 +234,10 @@ def _batch(scenario: Scenario, sensing: Sensing) -> Array:
     link = np.broadcast_to(-move.T @ drive, (epochs - 1, agent, agent))
     marginals = eliminate(Arrowhead(chain, link, border, corner)).marginals()
     covariance = np.broadcast_to(still @ marginals.border @ still.T, (epochs, len(basis), len(basis))).copy()
-    covariance[:, Layout.AGENT, Layout.AGENT] = marginals.chain
+    covariance[:, AGENT, AGENT] = marginals.chain
     cross = marginals.cross @ still.T
-    covariance[:, Layout.AGENT, agent:] = cross[:, :, agent:]
-    covariance[:, agent:, Layout.AGENT] = np.swapaxes(cross[:, :, agent:], -1, -2)
+    covariance[:, AGENT, agent:] = cross[:, :, agent:]
+    covariance[:, agent:, AGENT] = np.swapaxes(cross[:, :, agent:], -1, -2)
     return covariance
 
 
@@ -257,10 +257,10 @@ def _derotate(covariance: Array, state: Array, scenario: Scenario, sensing: Sens
     block = covariance[np.ix_(index, index)]
     weight = np.linalg.solve(block, mode)
     variance = 1.0 / float(mode @ weight)
-    cross = covariance[Layout.POSITION, index] @ weight * variance  # with the rotation
-    turn = _quarter_turn(state[layout.POSITION])
+    cross = covariance[POSITION, index] @ weight * variance  # with the rotation
+    turn = _quarter_turn(state[POSITION])
     without = (
-        covariance[Layout.POSITION, Layout.POSITION]
+        covariance[POSITION, POSITION]
         - np.outer(turn, cross)
         - np.outer(cross, turn)
         + variance * np.outer(turn, turn)

@@ -2,9 +2,9 @@
 
 A :class:`Scenario` is the truth (walls, anchors, track); :class:`Sensing` says what is known and what
 is measured of it. Together they give, for every epoch, the derivatives of the expected
-measurements by the state vector of :mod:`estimator.slam.layout` and the measurements' covariance, with
-associations known and true visibility (:mod:`estimator.specular`). Everything is in the estimator's
-frame: RP is the origin, ``theta`` is zero.
+measurements by the state vector of :mod:`estimator.slam.models.state_vector` and the measurements'
+covariance, with associations known and true visibility (:mod:`estimator.specular`). Everything is in the
+estimator's frame: RP is the origin, ``theta`` is zero.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import vrp_of_line
-from estimator.slam.features import predict_azimuths, predict_paths
-from estimator.slam.layout import Layout
+from estimator.slam.models.directions import predict_azimuths
+from estimator.slam.models.path_lengths import predict_paths
+from estimator.slam.models.state_vector import POSITION, THETA, Layout
 from estimator.specular import SpecularPaths, specular_paths
 
 __all__ = ["Observation", "Scenario", "Sensing"]
@@ -180,7 +181,7 @@ class Scenario:
         """True state vectors, shape (T, n); velocities are differences of the track."""
         layout, track = self.layout, self.track_m
         states = np.zeros((len(track), layout.size))
-        states[:, layout.POSITION] = track - track[0]
+        states[:, POSITION] = track - track[0]
         if len(track) > 1:
             states[:, 2:4] = np.gradient(track, self.step_s, axis=0)
         for k, anchor in enumerate(self.anchors_m - track[0]):
@@ -195,7 +196,7 @@ class Scenario:
         return self._paths[order]
 
     def visible(self, order: int = 1) -> NDArray[np.bool_]:
-        """Paths that exist, shape (T, K, F), features as in :mod:`estimator.slam.features`."""
+        """Paths that exist, shape (T, K, F), features as in :mod:`estimator.slam.models.features`."""
         layout = self.layout
         paths = self.paths(order)
         seen = np.zeros((*paths.visible.shape[:2], layout.features), dtype=bool)
@@ -248,7 +249,7 @@ class Scenario:
                     variance = sensing.sweep_variance * 0.25 * float(image @ image)
                     parts.append((by_state, np.full(2, variance), np.array([image[1], -image[0]])))
             jacobian, variances, by_heading = (np.concatenate(column) for column in zip(*parts, strict=True))
-            jacobian[:, layout.THETA] = 0.0
+            jacobian[:, THETA] = 0.0
             covariance = np.diag(variances)
             if t and not sensing.heading_held:
                 covariance += _ANY_HEADING_RAD2 * np.outer(by_heading, by_heading)
@@ -258,13 +259,13 @@ class Scenario:
     def _image(self, state: Array, wall: int) -> tuple[Array, Array]:
         """The agent's mirror image relative to the agent, ``(|v| - 2 p.n) n``, and its derivatives (2, n)."""
         layout = self.layout
-        vrp, position = state[layout.wall(wall)], state[layout.POSITION]
+        vrp, position = state[layout.wall(wall)], state[POSITION]
         length = np.linalg.norm(vrp)
         normal = vrp / length
         reach = length - 2.0 * position @ normal
         turn = (np.eye(2) - np.outer(normal, normal)) / length  # d n / d v
         jacobian = np.zeros((2, layout.size))
-        jacobian[:, layout.POSITION] = -2.0 * np.outer(normal, normal)
+        jacobian[:, POSITION] = -2.0 * np.outer(normal, normal)
         jacobian[:, layout.wall(wall)] = (
             np.outer(normal, normal) - 2.0 * np.outer(normal, position) @ turn + reach * turn
         )

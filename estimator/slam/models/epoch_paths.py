@@ -47,7 +47,7 @@ class EpochPaths(NamedTuple):
         return np.asarray(np.arange(self.length_m.shape[1]) < self.number[:, None])
 
 
-def stack_paths(epoch: Epoch, carrier_hz: float, bearing_rad: float = 0.0, most: int = 200) -> EpochPaths:
+def stack_paths(epoch: Epoch, carrier_hz: float, bearing_rad: float = 0.0) -> EpochPaths:
     """The paths of an epoch in one table.
 
     Parameters
@@ -58,16 +58,13 @@ def stack_paths(epoch: Epoch, carrier_hz: float, bearing_rad: float = 0.0, most:
         Carrier frequency, hertz.
     bearing_rad : float
         Direction of the gauge frame's x axis in the estimator's frame.
-    most : int
-        An anchor with more paths counts as not heard.
     """
-    heard = [paths if len(paths) <= most else None for paths in epoch.paths]
-    count = np.array([0 if paths is None else len(paths) for paths in heard], dtype=np.int64)
+    count = np.array([len(paths) for paths in epoch.paths], dtype=np.int64)
     shape = len(count), max(int(count.max(initial=0)), 1)
     length, std = np.ones(shape), np.ones(shape)
     loss, azimuth, azimuth_std = np.full(shape, np.nan), np.zeros(shape), np.full(shape, np.inf)
-    for k, (paths, n) in enumerate(zip(heard, count.tolist(), strict=True)):
-        if paths is None or n == 0:
+    for k, (paths, n) in enumerate(zip(epoch.paths, count.tolist(), strict=True)):
+        if n == 0:
             continue
         length[k, :n] = paths.delay_s * SPEED_OF_LIGHT_M_S
         std[k, :n] = paths.delay_std_s * SPEED_OF_LIGHT_M_S

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from estimator.slam.models.clutter_guard import MOST_PATHS
 from estimator.slam.models.settings import Settings, not_negative, positive, probability
 
 __all__ = ["MeasurementNoise"]
@@ -49,7 +50,7 @@ class MeasurementNoise(Settings):
     clock_bias_std_m: float = not_negative(0.0)
     clock_bias_common: bool = not_negative(False)
     gain_offset_std_db: float = not_negative(0.0)
-    most_paths: int = positive(200)
+    most_paths: int = positive(MOST_PATHS)
 
     @property
     def clutter_density(self) -> float:

@@ -3,7 +3,7 @@
 An unknown anchor's candidates are those of the paper: every path puts a virtual anchor
 on a circle round the agent, (11); every wall takes that circle to one of anchors, (4);
 where the circles of three or more paths meet is the anchor. Which of them it is, and under which
-labels of the paths, is weighed as :func:`estimator.slam.anchors.locate.locate_anchors` does for
+labels of the paths, is weighed as :func:`estimator.slam.anchors.locate_anchors` does for
 the ``gaussian`` engine: in one joint Gaussian of agent, anchors and walls. Not so the paper, which holds
 the walls where they were sensed: then each anchor is turned by the errors of the walls it was located
 with, and beliefs that are independent ever after do not turn it back (in the paper's room .017 rad, three
@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.measurements import Epoch
-from estimator.slam.anchors.locate import locate_anchors, may_locate
-from estimator.slam.config import GaussianConfig
-from estimator.slam.gaussian.paths import stack_paths
-from estimator.slam.gaussian.start import state_of
-from estimator.slam.gaussian.state import NOWHERE_M, GaussianState, Rows
-from estimator.slam.layout import Layout
+from estimator.slam.anchors import AnchorSearchConfig, SearchInput, is_due, locate_anchors
+from estimator.slam.mixture_reduction import Reduction, reduce_mixture, reduction_model
+from estimator.slam.models.epoch_paths import EpochPaths, stack_paths
+from estimator.slam.models.hypotheses import Hypotheses
+from estimator.slam.models.noise import MeasurementNoise
+from estimator.slam.models.path_buffer import PathBuffer, Track
+from estimator.slam.models.state_vector import AGENT, NOWHERE_M, Layout
+from estimator.slam.models.visibility import Visibility, prior_visibility
 from estimator.slam.particle.cloud import Cloud, gaussian_cloud, moments_of, normals, systematic
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.particle.found import found_walls
@@ -71,27 +73,24 @@ def start_anchors(
     walls = found_walls(state, config)
     if not walls:
         return state
-    models = GaussianConfig(
-        range_std_m=config.range_std_m,
-        detection_probability=config.detection_probability,
-        clutter_mean=config.clutter_mean,
-        region_m=config.region_m,
-        height2_mean_m2=config.height2_mean_m2,
-        start_matches=config.start_matches,
-        start_window=config.start_window,
+    search = AnchorSearchConfig(
+        start_matches=config.start_matches, start_window=config.start_window
     ).widened()
-    joint = _joint(state, walls, models)
-    if not may_locate(joint):
+    buffer = _buffer(state)
+    if not is_due(state.epoch, buffer.epochs, bool(state.located.all()), search):
         return state
-    table = stack_paths(epoch, joint.carrier_hz)
-    table = replace(table, excess_loss_db=np.full_like(table.excess_loss_db, np.nan))
-    rows = locate_anchors(joint, table, models).rows
-    likeliest = rows.located[rows.best]
+    layout = Layout(len(state.anchor_names), len(walls))
+    paths = stack_paths(epoch, _ANY_CARRIER_HZ)
+    given = _search_input(
+        state, layout, paths._replace(excess_loss_db=np.full_like(paths.length_m, np.nan)), buffer, config
+    )
+    found = locate_anchors(_joint(state, walls, layout, config), given, search)
+    likeliest = found.located[found.best]
     new = np.flatnonzero(likeliest & ~state.located).tolist()
     if not new:
         return state
-    drawn = _mixture(rows.keep(np.all(rows.located == likeliest, axis=1)), config.particles, rng)
-    anchors, points, layout = list(state.anchors_m), list(state.features.points_m), joint.layout
+    drawn = _mixture(found.keep(np.all(found.located == likeliest, axis=1)), config.particles, rng)
+    anchors, points = list(state.anchors_m), list(state.features.points_m)
     for k in new:
         anchors[k] = _untied(drawn[layout.anchor_xy(k)], rng)
     for slot, j in enumerate(walls):
@@ -143,36 +142,85 @@ def ring_anchors(state: ParticleState, config: ParticleConfig, rng: np.random.Ge
 
 
 def _joint(
-    state: ParticleState, walls: dict[int, tuple[Array, Array]], models: GaussianConfig
-) -> GaussianState:
-    """The beliefs' moments as one Gaussian, with what is remembered."""
-    layout = Layout(len(state.anchor_names), len(walls))
+    state: ParticleState, walls: dict[int, tuple[Array, Array]], layout: Layout, config: ParticleConfig
+) -> Hypotheses:
+    """The beliefs' moments as one Gaussian."""
     mean, covariance = np.zeros(layout.size), np.zeros((layout.size, layout.size))
-    parts = [(layout.AGENT, moments_of(state.agent))]
+    parts = [(AGENT, moments_of(state.agent))]
     parts += [(layout.wall(slot), moments) for slot, moments in enumerate(walls.values())]
     for k, located in enumerate(state.located.tolist()):
-        mean[layout.anchor(k)] = NOWHERE_M, 0.0, models.height2_mean_m2, 0.0
+        mean[layout.anchor(k)] = NOWHERE_M, 0.0, config.height2_mean_m2, 0.0
         if located:
             parts.append((layout.anchor_xy(k), moments_of(state.anchors_m[k])))
     for place, (own, spread) in parts:
         mean[place], covariance[place, place] = own, spread
-    past = state.past[state.past[:, 0] < state.epoch]
-    epoch, x, y, variance, anchor, length, std = past.T
-    first = np.unique(epoch, return_index=True)[1]
-    return replace(
-        state_of(layout, mean, covariance, state.anchor_names, state.located, _ANY_CARRIER_HZ, models),
-        epoch=state.epoch,
-        trail=np.stack([epoch, x, y, np.sqrt(variance)], axis=1)[first],
-        heard=np.stack([epoch, anchor, length, std, np.full(len(past), np.nan), np.ones(len(past))], axis=1),
+    prior = prior_visibility(layout, Visibility())
+    return Hypotheses(
+        np.zeros(1),
+        mean[None],
+        covariance[None],
+        state.located[None].copy(),
+        np.ones((1, layout.slots), dtype=bool),
+        np.tile(prior, (1, layout.anchors, 1)),
+        np.zeros((1, layout.slots), dtype=np.int64),
     )
 
 
-def _mixture(rows: Rows, count: int, rng: np.random.Generator) -> Cloud:
-    """Draws (n, N) from the rows' Gaussians, of each its weight's share."""
-    members = np.bincount(systematic(rows.log_weight, rng, count), minlength=len(rows))
+def _buffer(state: ParticleState) -> PathBuffer:
+    """What is remembered, as the search takes it."""
+    past = state.past[state.past[:, 0] < state.epoch]
+    epoch, x, y, variance, anchor, length, std = past.T
+    first = np.unique(epoch, return_index=True)[1]
+    place = np.stack([x, y], axis=1)[first]
+    return PathBuffer(
+        Track(epoch[first].astype(np.int64), place, np.sqrt(variance[first])),
+        epoch.astype(np.int64),
+        anchor.astype(np.int64),
+        length.copy(),
+        std.copy(),
+        np.full(len(past), np.nan),
+        np.ones(len(past), dtype=bool),
+    )
+
+
+def _search_input(
+    state: ParticleState, layout: Layout, paths: EpochPaths, buffer: PathBuffer, config: ParticleConfig
+) -> SearchInput:
+    """What this engine tells the search of itself."""
+    reduction = Reduction()
+    model = reduction_model(
+        reduction, layout, reduction.prune_nats, reduction.alike_sigma, 2 * reduction.max_hypotheses
+    )
+
+    def reduce(many: Hypotheses) -> Hypotheses:
+        return reduce_mixture(many, model)
+
+    return SearchInput(
+        layout=layout,
+        confirmed=np.ones(layout.slots, dtype=bool),
+        epoch=state.epoch,
+        paths=paths,
+        heard=buffer,
+        gain_offset_db=np.full(layout.anchors, np.nan),
+        noise=MeasurementNoise(
+            range_std_m=config.range_std_m,
+            detection_probability=config.detection_probability,
+            clutter_mean=config.clutter_mean,
+            region_m=config.region_m,
+            height2_mean_m2=config.height2_mean_m2,
+        ),
+        fresh_visibility=prior_visibility(layout, Visibility()),
+        prune_nats=reduction.prune_nats,
+        reduce=reduce,
+    )
+
+
+def _mixture(found: Hypotheses, count: int, rng: np.random.Generator) -> Cloud:
+    """Draws (n, N) from the hypotheses' Gaussians, of each its weight's share."""
+    members = np.bincount(systematic(found.log_weight, rng, count), minlength=found.number)
     parts = [
         gaussian_cloud(mean, covariance, size, rng)
-        for mean, covariance, size in zip(rows.mean, rows.covariance, members.tolist(), strict=True)
+        for mean, covariance, size in zip(found.mean, found.covariance, members.tolist(), strict=True)
     ]
     return np.concatenate(parts, axis=1)
 

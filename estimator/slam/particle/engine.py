@@ -29,11 +29,8 @@ from numpy.typing import NDArray
 
 from estimator.errors import InputError
 from estimator.measurements import Epoch
-from estimator.slam.candidates import LEAST_WEIGHT, MOST, Candidate
-from estimator.slam.engine import Prior
-from estimator.slam.estimate import Estimate
-from estimator.slam.floods import without_floods
 from estimator.slam.methods import Method
+from estimator.slam.models.clutter_guard import guard_clutter
 from estimator.slam.particle.anchors import remember_paths, ring_anchors, start_anchors
 from estimator.slam.particle.births import merged, pruned
 from estimator.slam.particle.cloud import gaussian_cloud, moments_of
@@ -46,6 +43,7 @@ from estimator.slam.particle.state import (
     save_particle_state,
 )
 from estimator.slam.particle.step import hear_anchor, predict
+from estimator.slam.protocol import LEAST_WEIGHT, MOST, Candidate, Estimate, Prior
 
 __all__ = ["ParticleEngine"]
 
@@ -125,7 +123,7 @@ class ParticleEngine:
     def step(self, state: ParticleState, epoch: Epoch, rng: np.random.Generator) -> ParticleState:
         """The state after one more epoch; the given state is not changed.
 
-        Anchors with more than 200 paths count as unheard (:mod:`estimator.slam.floods`).
+        Anchors with more than 200 paths count as not heard.
 
         Raises
         ------
@@ -144,7 +142,7 @@ class ParticleEngine:
                     f"at {state.time_s} s"
                 )
             state = predict(state, epoch.time_s - state.time_s, self.method, self.config, rng)
-        state, epoch = replace(state, epoch=epoch.index, time_s=epoch.time_s), without_floods(epoch)
+        state, epoch = replace(state, epoch=epoch.index, time_s=epoch.time_s), guard_clutter(epoch)
         if not self.method.paths:
             return state
         for k in np.flatnonzero(state.located).tolist():

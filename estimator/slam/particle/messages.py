@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.slam.association import associate
+from estimator.slam.association.belief_propagation import associate
 from estimator.slam.particle.cloud import Cloud
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.particle.pairings import (
@@ -135,8 +135,10 @@ def exchange(
     detect = nodes.visibility * config.detection_probability
     silent = 1.0 - nodes.existence * detect
     ratio = (nodes.existence * detect / silent)[:, None] * likelihood
-    association = associate(ratio / (1.0 + new_ratio), iterations=30)
-    share = detect[:, None] * association.message / (1.0 + new_ratio)
+    odds = ratio / (1.0 + new_ratio)
+    probability, message = np.empty(odds.shape), np.empty(odds.shape)
+    contest = associate(odds, probability, message, 30)
+    share = detect[:, None] * message / (1.0 + new_ratio)
 
     told = np.sum(share * likelihood, axis=1)  # visible and heard
     mean = 1.0 - detect + told
@@ -164,8 +166,8 @@ def exchange(
             anchor += np.log(to_anchor, out=to_anchor)
         if f:
             points.append(np.log(to_point, out=to_point) if near.size else None)
-    evidence = float(association.log_evidence + np.sum(np.log(silent)) + np.sum(np.log1p(new_ratio)))
-    unexplained = np.clip(1.0 - association.probability.sum(axis=0), 0.0, 1.0)
+    evidence = float(contest + np.sum(np.log(silent)) + np.sum(np.log1p(new_ratio)))
+    unexplained = np.clip(1.0 - probability.sum(axis=0), 0.0, 1.0)
     return Messages(agent, anchor, tuple(points), existence, visibility, unexplained, evidence)
 
 

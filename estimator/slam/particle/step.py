@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.measurements import AnchorPaths
 from estimator.slam.methods import Method
-from estimator.slam.motion import process_noise, transition
+from estimator.slam.models.motion import process_noise, transition
 from estimator.slam.particle.births import born_features, new_odds
 from estimator.slam.particle.cloud import Cloud, moved, normals, resample, total_variance
 from estimator.slam.particle.config import ParticleConfig

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimator.slam.association import associate
-from estimator.slam.config import GaussianConfig
-from estimator.slam.features import predict_paths
-from estimator.slam.gaussian.paths import PathTable
+from estimator.slam.association.belief_propagation import associate_all
+from estimator.slam.models.epoch_paths import EpochPaths
+from estimator.slam.models.path_lengths import predict_paths
+from estimator.slam.models.visibility import Visibility
 from estimator.slam.smoothing.factors import PathFactors, Problem, Trajectory
 
 __all__ = ["path_factors", "stacked_lengths", "visibility"]
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 def path_factors(
     problem: Problem,
     at: Trajectory,
-    tables: list[PathTable],
+    tables: list[EpochPaths],
     located: NDArray[np.bool_],
     spread_m2: ArrayLike,
     least_probability: float = 0.5,
@@ -38,7 +38,7 @@ def path_factors(
         Layout and models; its factors are not used.
     at : Trajectory
         Where everything is.
-    tables : list of PathTable, length T
+    tables : list of EpochPaths, length T
         The paths.
     located : ndarray of bool, shape (K,)
         Anchors that ``at`` knows.
@@ -51,27 +51,28 @@ def path_factors(
     -------
     PathFactors
     """
-    model, layout = problem.config, problem.layout
+    noise, gating, layout = problem.config.noise, problem.config.gating, problem.layout
     prediction = predict_paths(at.states(), layout)
     spread = np.broadcast_to(np.asarray(spread_m2, dtype=np.float64), prediction.length_m.shape)
     length, std, valid = stacked_lengths(tables)
-    std = np.maximum(std, model.range_std_m)
+    std = np.maximum(std, noise.range_std_m)
     s = spread[..., None] + std[:, :, None, :] ** 2  # (T, K, F, M)
     gap = length[:, :, None, :] - prediction.length_m[..., None]
     density = np.exp(-0.5 * gap**2 / s) / np.sqrt(2.0 * np.pi * s)
     usable = prediction.possible & located[:, None]
-    usable[..., 1 + layout.slots :] &= spread[..., 1 + layout.slots :] < model.pair_std_m**2
-    gated = valid[:, :, None, :] & usable[..., None] & (gap**2 < model.gate_sigma**2 * s)
-    relative = np.where(gated, density / model.clutter_density, 0.0)
-    pd = model.detection_probability
+    usable[..., 1 + layout.slots :] &= spread[..., 1 + layout.slots :] < gating.pair_std_m**2
+    gated = valid[:, :, None, :] & usable[..., None] & (gap**2 < gating.gate_sigma**2 * s)
+    relative = np.where(gated, density / noise.clutter_density, 0.0)
+    pd = noise.detection_probability
     # first without competition, then with what belief propagation leaves of it
     heard = relative
     for _ in range(2):
-        seen = visibility(1.0 - pd + pd * heard.sum(axis=-1), usable, model)
+        seen = visibility(1.0 - pd + pd * heard.sum(axis=-1), usable, problem.config.visibility)
         chance = np.minimum(pd * seen, 0.999)[..., None]
-        association = associate(chance / (1.0 - chance) * relative)
-        heard = relative * association.message
-    epoch, anchor, feature, path = np.nonzero(association.probability > least_probability)
+        ratio = chance / (1.0 - chance) * relative
+        probability, message, _ = associate_all(ratio.reshape(-1, *ratio.shape[2:]))
+        heard = relative * message.reshape(ratio.shape)
+    epoch, anchor, feature, path = np.nonzero(probability.reshape(ratio.shape) > least_probability)
     azimuth, azimuth_std = _padded_azimuths(tables, length.shape)
     pick = (epoch, anchor, path)
     if not np.any(np.isfinite(azimuth_std)):
@@ -79,7 +80,7 @@ def path_factors(
     return PathFactors(epoch, anchor, feature, length[pick], std[pick], azimuth[pick], azimuth_std[pick])
 
 
-def visibility(ratio: Array, usable: NDArray[np.bool_], model: GaussianConfig) -> Array:
+def visibility(ratio: Array, usable: NDArray[np.bool_], model: Visibility) -> Array:
     """Probability, given the whole run, that features could be heard.
 
     Forward-backward algorithm of a chain with the states visible and invisible.
@@ -90,7 +91,7 @@ def visibility(ratio: Array, usable: NDArray[np.bool_], model: GaussianConfig) -
         Likelihood of each epoch's measurements if the feature was visible, over that if it was not.
     usable : ndarray of bool, shape (T, ...)
         Where the feature is geometrically possible; elsewhere it is invisible, whatever it was before.
-    model : GaussianConfig
+    model : Visibility
         ``appear_probability`` and ``vanish_probability``.
 
     Returns
@@ -117,7 +118,7 @@ def visibility(ratio: Array, usable: NDArray[np.bool_], model: GaussianConfig) -
     return result
 
 
-def stacked_lengths(tables: list[PathTable]) -> tuple[Array, Array, NDArray[np.bool_]]:
+def stacked_lengths(tables: list[EpochPaths]) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Lengths, standard deviations and validity of all epochs' paths, (T, K, M)."""
     shape = (len(tables), len(tables[0].length_m), max(table.length_m.shape[1] for table in tables))
     length, std, valid = np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=bool)
@@ -131,14 +132,14 @@ def stacked_lengths(tables: list[PathTable]) -> tuple[Array, Array, NDArray[np.b
     return length, std, valid
 
 
-def _padded_azimuths(tables: list[PathTable], shape: tuple[int, ...]) -> tuple[Array, Array]:
+def _padded_azimuths(tables: list[EpochPaths], shape: tuple[int, ...]) -> tuple[Array, Array]:
     """Directions and their standard deviations (T, K, M), infinite where there is none.
 
     Directions of an epoch whose heading was not held are left out.
     """
     azimuth, std = np.zeros(shape), np.full(shape, np.inf)
     for t, table in enumerate(tables):
-        if table.azimuth_rad is not None and table.azimuth_std_rad is not None and table.heading_held:
+        if table.heading_held:
             count = table.azimuth_rad.shape[1]
             azimuth[t, :, :count], std[t, :, :count] = table.azimuth_rad, table.azimuth_std_rad
     return azimuth, std

@@ -3,22 +3,26 @@
 A :class:`Problem` lists the factors of a whole run: path lengths (and directions) given to features of
 anchors, walls sensed at the start, walls seen by sweeps on the way. A :class:`Trajectory` says where
 everything is: the agent at every epoch, and what stands still, as a state vector of
-:mod:`estimator.slam.layout`.
+:mod:`estimator.slam.models.state_vector`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import InputError
 from estimator.measurements import GaussianVrp
-from estimator.slam.config import GaussianConfig
-from estimator.slam.layout import Layout
+from estimator.slam.association.gating import Gating
+from estimator.slam.models.motion import Motion
+from estimator.slam.models.noise import MeasurementNoise
+from estimator.slam.models.state_vector import AGENT, THETA, Layout
+from estimator.slam.models.visibility import Visibility
 
-__all__ = ["PathFactors", "Problem", "SweepFactor", "Trajectory"]
+__all__ = ["Models", "PathFactors", "Problem", "SweepFactor", "Trajectory"]
 
 Array = NDArray[np.float64]
 
@@ -32,7 +36,7 @@ class PathFactors:
     Parameters
     ----------
     epoch, anchor, feature : ndarray of int64, shape (N,)
-        Row of the problem's epochs, anchor, and feature as in :mod:`estimator.slam.features`.
+        Row of the problem's epochs, anchor, and feature as in :mod:`estimator.slam.models.features`.
     length_m, std_m : ndarray, shape (N,)
         Path lengths and standard deviations, metres.
     azimuth_rad, azimuth_std_rad : ndarray, shape (N,), optional
@@ -90,6 +94,26 @@ class SweepFactor:
     flash: GaussianVrp
 
 
+class Models(Protocol):
+    """The groups of settings that a smoother uses; those of any engine's configuration."""
+
+    @property
+    def noise(self) -> MeasurementNoise:
+        """Noise of path lengths, heights and clocks."""
+
+    @property
+    def motion(self) -> Motion:
+        """How the agent moves."""
+
+    @property
+    def visibility(self) -> Visibility:
+        """How features appear and vanish."""
+
+    @property
+    def gating(self) -> Gating:
+        """Gates."""
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A run to be smoothed.
@@ -104,7 +128,7 @@ class Problem:
         Measured paths.
     sensed : tuple of (GaussianVrp or None), length L
         What active sensing at the start gave for each slot, estimator's frame; slot 0 must have it.
-    config : GaussianConfig
+    config : Models
         Models: motion, priors of heights, clock biases and the initial velocity.
     sweeps : tuple of SweepFactor
         Walls seen on the way.
@@ -114,7 +138,7 @@ class Problem:
     time_s: Array
     paths: PathFactors
     sensed: tuple[GaussianVrp | None, ...]
-    config: GaussianConfig
+    config: Models
     sweeps: tuple[SweepFactor, ...] = field(default=())
 
     def __post_init__(self) -> None:
@@ -142,8 +166,8 @@ class Problem:
 
     def basis(self) -> tuple[Array, Array]:
         """Free directions (n, q) of what stands still, and the information (q,) of their priors."""
-        layout, config = self.layout, self.config
-        columns, information = [layout.THETA], [0.0]
+        layout, config = self.layout, self.config.noise
+        columns, information = [THETA], [0.0]
         for k in range(layout.anchors):
             place = layout.anchor_xy(k)
             columns += [place.start, place.start + 1]
@@ -187,5 +211,5 @@ class Trajectory:
     def states(self) -> Array:
         """State vectors of all epochs, shape (T, n)."""
         states = np.tile(self.still, (len(self.agent), 1))
-        states[:, Layout.AGENT] = self.agent
+        states[:, AGENT] = self.agent
         return states

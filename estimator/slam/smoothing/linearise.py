@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.geometry import rotate_by_angle_of, rotation_matrix
-from estimator.slam.features import predict_azimuths, predict_paths
-from estimator.slam.gaussian.sweeps import predict_flashes
-from estimator.slam.layout import Layout
-from estimator.slam.motion import process_noise, transition
+from estimator.slam.models.directions import predict_azimuths
+from estimator.slam.models.motion import process_noise, transition
+from estimator.slam.models.path_lengths import predict_paths
+from estimator.slam.models.state_vector import AGENT, THETA
+from estimator.slam.models.sweeps import predict_flashes
 from estimator.slam.smoothing.arrowhead import Arrowhead
 from estimator.slam.smoothing.factors import Problem, Trajectory
 
@@ -92,7 +93,7 @@ def linearise(problem: Problem, at: Trajectory, past: Past | None = None) -> Lin
     cost = 0.0
 
     rows, epoch, residual = _measured(problem, at)
-    moving, standing = rows[:, Layout.AGENT], rows @ basis
+    moving, standing = rows[:, AGENT], rows @ basis
     np.add.at(chain, epoch, moving[:, :, None] * moving[:, None, :])
     np.add.at(border, epoch, moving[:, :, None] * standing[:, None, :])
     np.add.at(right, epoch, moving * residual[:, None])
@@ -103,7 +104,7 @@ def linearise(problem: Problem, at: Trajectory, past: Past | None = None) -> Lin
     for step in np.unique(np.diff(problem.time_s)):
         before = np.flatnonzero(np.diff(problem.time_s) == step)
         move = transition(float(step))
-        noise = process_noise(float(step), problem.config.acceleration_variance)
+        noise = process_noise(float(step), problem.config.motion.acceleration_variance)
         drive = np.linalg.inv(noise + _JITTER * np.eye(_AGENT))
         gap = at.agent[before + 1] - at.agent[before] @ move.T
         chain[before] += move.T @ drive @ move
@@ -124,7 +125,9 @@ def linearise(problem: Problem, at: Trajectory, past: Past | None = None) -> Lin
         right[0] += pull[:_AGENT]
         below += pull[_AGENT:]
     else:
-        start = np.concatenate([np.full(2, 1.0 / _JITTER), np.full(2, problem.config.velocity_std_m_s**-2)])
+        start = np.concatenate(
+            [np.full(2, 1.0 / _JITTER), np.full(2, problem.config.motion.velocity_std_m_s**-2)]
+        )
         chain[0] += np.diag(start)
         right[0] -= start * at.agent[0]
         cost += float(np.sum(start * at.agent[0] ** 2))
@@ -142,7 +145,7 @@ def _from_prior(problem: Problem, still: Array, basis: Array) -> Array:
     layout = problem.layout
     away = np.zeros_like(still)
     for k in range(layout.anchors):
-        away[layout.height2(k)] = still[layout.height2(k)] - problem.config.height2_mean_m2
+        away[layout.height2(k)] = still[layout.height2(k)] - problem.config.noise.height2_mean_m2
         away[layout.bias(k)] = still[layout.bias(k)]
     return np.asarray(basis.T @ away / np.sum(basis**2, axis=0))
 
@@ -181,9 +184,7 @@ def _sensed(problem: Problem, still: Array) -> tuple[Array, Array]:
         if wall is None:
             continue
         whiten = np.linalg.inv(np.linalg.cholesky(wall.covariance_m2))
-        expected, jacobian = rotate_by_angle_of(
-            still, layout.THETA, (layout.wall(slot),), problem.bearing_rad
-        )
+        expected, jacobian = rotate_by_angle_of(still, THETA, (layout.wall(slot),), problem.bearing_rad)
         rows.append(whiten @ jacobian)
         residuals.append(whiten @ (wall.mean_m - expected))
     return np.concatenate(rows), np.concatenate(residuals)

@@ -18,15 +18,14 @@ from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp, MeasurementSet
 from estimator.result import SlamResult
-from estimator.slam.config import GaussianConfig
-from estimator.slam.features import predict_paths
-from estimator.slam.floods import without_floods
-from estimator.slam.gaussian.paths import PathTable, stack_paths
-from estimator.slam.gaussian.sweeps import predict_flashes
-from estimator.slam.layout import Layout
+from estimator.slam.models.clutter_guard import guard_clutter
+from estimator.slam.models.epoch_paths import EpochPaths, stack_paths
+from estimator.slam.models.path_lengths import predict_paths
+from estimator.slam.models.state_vector import AGENT, NOWHERE_M, THETA, Layout
+from estimator.slam.models.sweeps import predict_flashes
 from estimator.slam.run import config_for
 from estimator.slam.smoothing.association import path_factors, stacked_lengths
-from estimator.slam.smoothing.factors import PathFactors, Problem, SweepFactor, Trajectory
+from estimator.slam.smoothing.factors import Models, PathFactors, Problem, SweepFactor, Trajectory
 from estimator.slam.smoothing.smoother import Smoothed, smooth, smooth_fixed_lag
 
 __all__ = ["RefineConfig", "refine"]
@@ -72,7 +71,7 @@ class RefineConfig:
 def refine(
     measurements: MeasurementSet,
     result: SlamResult,
-    model: GaussianConfig | None = None,
+    model: Models | None = None,
     config: RefineConfig | None = None,
 ) -> SlamResult:
     """Smooth the run that a filter made of some measurements.
@@ -83,7 +82,7 @@ def refine(
         What the filter was given.
     result : SlamResult
         What it found.
-    model : GaussianConfig, optional
+    model : Models, optional
         Models; by default those that fit the measurements.
     config : RefineConfig, optional
         How.
@@ -100,12 +99,12 @@ def refine(
         If the two do not fit, or the result holds no wall that was sensed at the start.
     """
     if model is None:
-        model = cast(GaussianConfig, config_for(measurements, engine="gaussian"))
+        model = cast(Models, config_for(measurements, engine="gaussian"))
     config = config or RefineConfig()
     if len(result.epoch) != len(measurements.epochs):
         raise InputError(f"result: expected {len(measurements.epochs)} epochs, got {len(result.epoch)}")
     problem, at, wall_id = _start(measurements, result, model)
-    epochs = [without_floods(epoch) for epoch in measurements.epochs]
+    epochs = [guard_clutter(epoch, model.noise.most_paths) for epoch in measurements.epochs]
     tables = [stack_paths(epoch, measurements.carrier_hz) for epoch in epochs]
     located = result.anchor_valid[-1]
     at = _biased(problem, at, tables)
@@ -121,7 +120,7 @@ def refine(
 
 
 def _start(
-    measurements: MeasurementSet, result: SlamResult, model: GaussianConfig
+    measurements: MeasurementSet, result: SlamResult, model: Models
 ) -> tuple[Problem, Trajectory, NDArray[np.int64]]:
     """A problem without factors, where its result has everything, and the walls' identities by slot."""
     from scipy.optimize import linear_sum_assignment
@@ -132,7 +131,7 @@ def _start(
     if len(found) and measurements.walls:
         gaps = np.array([[_distance(wall, vrp) for vrp in vrps] for wall in measurements.walls])
         for i, j in zip(*linear_sum_assignment(np.minimum(gaps, 1e6)), strict=True):
-            if gaps[i, j] < model.gate_sigma**2 + 4.0:
+            if gaps[i, j] < model.gating.gate_sigma**2 + 4.0:
                 sensed[int(j)] = measurements.walls[i]
     if not sensed:
         raise InputError("result: expected a wall that was sensed at the start, got none")
@@ -146,13 +145,13 @@ def _start(
     turn = rotation_matrix(-float(np.arctan2(vrps[0, 1], vrps[0, 0])))
     still = np.zeros(layout.size)
     theta = float(np.arctan2(vrps[0, 1], vrps[0, 0])) - problem.bearing_rad
-    still[layout.THETA] = np.angle(np.exp(1j * theta))
+    still[THETA] = np.angle(np.exp(1j * theta))
     still[layout.walls] = (vrps @ turn.T).ravel()
     still[layout.wall(0).start + 1] = 0.0
     for k in range(layout.anchors):
         known = bool(result.anchor_valid[-1, k])
-        still[layout.anchor_xy(k)] = turn @ result.anchor_mean_m[-1, k] if known else (1e4, 0.0)
-        still[layout.height2(k)] = model.height2_mean_m2
+        still[layout.anchor_xy(k)] = turn @ result.anchor_mean_m[-1, k] if known else (NOWHERE_M, 0.0)
+        still[layout.height2(k)] = model.noise.height2_mean_m2
     agent = result.agent_mean.copy()
     agent[:, :2], agent[:, 2:] = agent[:, :2] @ turn.T, agent[:, 2:] @ turn.T
     return problem, Trajectory(agent, still), result.wall_id[found][slots]
@@ -174,9 +173,9 @@ def _bearing_variance(wall: GaussianVrp) -> float:
     return float(tangent @ wall.covariance_m2 @ tangent) / square**2
 
 
-def _biased(problem: Problem, at: Trajectory, tables: list[PathTable]) -> Trajectory:
+def _biased(problem: Problem, at: Trajectory, tables: list[EpochPaths]) -> Trajectory:
     """Clock biases from the offset that most paths have in common, if there may be any."""
-    model, layout = problem.config, problem.layout
+    model, layout = problem.config.noise, problem.layout
     if model.clock_bias_std_m == 0.0:
         return at
     length, _, valid = stacked_lengths(tables)
@@ -201,7 +200,7 @@ def _spread(problem: Problem, smoothed: Smoothed) -> Array:
     """Variances (T, K, F) of the lengths that a smoothed run predicts."""
     basis, _ = problem.basis()
     jacobian = predict_paths(smoothed.trajectory.states(), problem.layout).jacobian
-    moving, standing = jacobian[..., Layout.AGENT], jacobian @ basis
+    moving, standing = jacobian[..., AGENT], jacobian @ basis
     found = smoothed.marginals
     total = np.einsum("tkfi,tij,tkfj->tkf", moving, found.chain, moving, optimize=True)
     total += 2.0 * np.einsum("tkfi,tij,tkfj->tkf", moving, found.cross, standing, optimize=True)
@@ -220,7 +219,7 @@ def _sweep_factors(problem: Problem, at: Trajectory, measurements: MeasurementSe
         for wall in epoch.sweep:
             gaps = [_distance(wall, seen) for seen in flash]
             slot = int(np.argmin(gaps))
-            if gaps[slot] < problem.config.gate_sigma**2:
+            if gaps[slot] < problem.config.gating.gate_sigma**2:
                 factors.append(SweepFactor(t, slot, wall))
     return tuple(factors)
 

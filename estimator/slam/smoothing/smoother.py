@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import rotate_by_angle_of
-from estimator.slam.layout import Layout
+from estimator.slam.models.state_vector import AGENT, THETA, Layout
 from estimator.slam.smoothing.arrowhead import Marginals, eliminate
 from estimator.slam.smoothing.factors import Problem, SweepFactor, Trajectory
 from estimator.slam.smoothing.linearise import Linear, Past, linearise
@@ -227,13 +227,13 @@ def _place(problem: Problem, trajectory: Trajectory, marginals: Marginals, t: in
     """Agent, anchors and walls of an epoch in the estimator's frame, then theta, and their covariance."""
     layout, (basis, _) = problem.layout, problem.basis()
     state = trajectory.still.copy()
-    state[Layout.AGENT] = trajectory.agent[t]
+    state[AGENT] = trajectory.agent[t]
     pairs = [slice(0, 2), slice(2, 4), *(layout.anchor_xy(k) for k in range(layout.anchors))]
     pairs += [layout.wall(slot) for slot in range(layout.slots)]
-    points, jacobian = rotate_by_angle_of(state, layout.THETA, pairs, problem.bearing_rad)
-    values = np.append(points, state[layout.THETA])
-    linear = np.vstack([jacobian, np.eye(layout.size)[layout.THETA]])
-    by_agent, by_border = linear[:, Layout.AGENT], linear @ basis
+    points, jacobian = rotate_by_angle_of(state, THETA, pairs, problem.bearing_rad)
+    values = np.append(points, state[THETA])
+    linear = np.vstack([jacobian, np.eye(layout.size)[THETA]])
+    by_agent, by_border = linear[:, AGENT], linear @ basis
     mixed = by_agent @ marginals.cross[t] @ by_border.T
     covariance = (
         by_agent @ marginals.chain[t] @ by_agent.T

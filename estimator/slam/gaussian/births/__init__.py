@@ -1,0 +1,1 @@
+"""Births: new walls, and new virtual anchors, from paths that nothing explains."""

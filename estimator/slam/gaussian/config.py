@@ -1,0 +1,161 @@
+"""Configuration of the Gaussian engine: groups of settings, each beside the algorithm that it is for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from estimator.errors import ConfigurationError
+from estimator.slam.anchors.config import AnchorSearchConfig
+from estimator.slam.association.gating import GateModel, Gating
+from estimator.slam.gaussian.births.config import Births, VirtualBirths
+from estimator.slam.gaussian.branching import Branching, BranchModel
+from estimator.slam.gaussian.clutter import Clutter
+from estimator.slam.gaussian.lifecycle import Lifecycle
+from estimator.slam.gaussian.phase import Phase, Phases
+from estimator.slam.gaussian.reclassification import Reclassification
+from estimator.slam.gaussian.sweep_update import SweepMatching
+from estimator.slam.gaussian.update import Corrections, UpdateModel
+from estimator.slam.mixture_reduction import ReduceModel, Reduction, reduction_model
+from estimator.slam.models.directions import Directions
+from estimator.slam.models.motion import Motion
+from estimator.slam.models.noise import MeasurementNoise
+from estimator.slam.models.path_loss import PathLoss
+from estimator.slam.models.state_vector import Layout
+from estimator.slam.models.visibility import Visibility
+
+__all__ = ["GaussianConfig", "Kernels"]
+
+
+class Kernels(NamedTuple):
+    """What compiled functions take of the configuration."""
+
+    update: UpdateModel
+    gates: GateModel
+    branching: BranchModel
+
+
+@dataclass(frozen=True)
+class GaussianConfig:
+    """Models and limits of the Gaussian engine, in groups.
+
+    The names of settings are unique over all groups: :meth:`of` and :meth:`but` take them without the
+    groups' names.
+
+    Parameters
+    ----------
+    noise : MeasurementNoise
+        Noise of path lengths, misses, clutter, heights and clocks.
+    motion : Motion
+        How the agent moves.
+    visibility : Visibility
+        How features appear and vanish.
+    directions : Directions
+        Directions of arrival.
+    path_loss : PathLoss
+        Powers of paths.
+    gating : Gating
+        Which features and measurements are looked at together.
+    branching : Branching
+        When hypotheses branch.
+    corrections : Corrections
+        How corrections are taken.
+    sweeps : SweepMatching
+        Flashes and walls.
+    clutter : Clutter
+        Intensity of unassociated paths.
+    reclassification : Reclassification
+        Which paths count as explained.
+    anchors : AnchorSearchConfig
+        The search for anchors.
+    births : Births
+        New walls.
+    virtual_births : VirtualBirths
+        New virtual anchors.
+    reduction : Reduction
+        Which hypotheses are kept.
+    lifecycle : Lifecycle
+        When walls are confirmed and deleted.
+    phases : Phases
+        What is different in the first epochs, and while no wall is known.
+    """
+
+    noise: MeasurementNoise = field(default_factory=MeasurementNoise)
+    motion: Motion = field(default_factory=Motion)
+    visibility: Visibility = field(default_factory=Visibility)
+    directions: Directions = field(default_factory=Directions)
+    path_loss: PathLoss = field(default_factory=PathLoss)
+    gating: Gating = field(default_factory=Gating)
+    branching: Branching = field(default_factory=Branching)
+    corrections: Corrections = field(default_factory=Corrections)
+    sweeps: SweepMatching = field(default_factory=SweepMatching)
+    clutter: Clutter = field(default_factory=Clutter)
+    reclassification: Reclassification = field(default_factory=Reclassification)
+    anchors: AnchorSearchConfig = field(default_factory=AnchorSearchConfig)
+    births: Births = field(default_factory=Births)
+    virtual_births: VirtualBirths = field(default_factory=VirtualBirths)
+    reduction: Reduction = field(default_factory=Reduction)
+    lifecycle: Lifecycle = field(default_factory=Lifecycle)
+    phases: Phases = field(default_factory=Phases)
+
+    @classmethod
+    def of(cls, **settings: Any) -> GaussianConfig:
+        """The default with some settings changed, by their names alone; see :meth:`but`."""
+        return cls().but(**settings)
+
+    def but(self, **settings: Any) -> GaussianConfig:
+        """The configuration with some settings changed, by their names alone.
+
+        Raises
+        ------
+        ConfigurationError
+            If there is no setting of that name, or its value is out of range.
+        """
+        unknown = sorted(set(settings) - set(self.names()))
+        if unknown:
+            raise ConfigurationError(f"GaussianConfig: expected names of settings, got {', '.join(unknown)}")
+        groups = {}
+        for entry in fields(self):
+            group = getattr(self, entry.name)
+            own = {one.name: settings[one.name] for one in fields(group) if one.name in settings}
+            if own:
+                groups[entry.name] = replace(group, **own)
+        return replace(self, **groups)
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """The names of all settings."""
+        return tuple(one.name for group in fields(cls) for one in fields(group.default_factory))  # type: ignore[arg-type]
+
+    def flat(self) -> dict[str, Any]:
+        """All settings by their names."""
+        groups = (getattr(self, entry.name) for entry in fields(self))
+        return {one.name: getattr(group, one.name) for group in groups for one in fields(group)}
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """The same as compiled functions take it."""
+        branching = {entry.name: getattr(self.branching, entry.name) for entry in fields(self.branching)}
+        return Kernels(
+            UpdateModel(
+                self.noise.detection_probability,
+                self.directions.agree_rad,
+                self.directions.direction_gate_sigma,
+                self.corrections.most_turn_rad,
+            ),
+            GateModel(
+                self.gating.gate_sigma,
+                self.gating.pair_gate_std_m,
+                self.gating.pair_margin,
+                self.gating.bent_share,
+                self.noise.range_std_m,
+            ),
+            BranchModel(**branching, pair_std_m=self.gating.pair_std_m),
+        )
+
+    def reduce_model(self, phase: Phase, layout: Layout) -> ReduceModel:
+        """What mixture reduction takes, in a phase of a run."""
+        return reduction_model(
+            self.reduction, layout, phase.prune_nats, phase.unlikely_sigma, phase.max_hypotheses
+        )

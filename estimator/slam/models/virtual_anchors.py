@@ -1,0 +1,92 @@
+"""Virtual anchors as features: points that each anchor has for itself, and the walls that they imply.
+
+The path of a virtual anchor is as long as the straight line from it to the agent, whatever
+walls stand between, and however many bounces it stands for. So its length depends on the agent and on that
+point alone, and on nothing that another anchor knows.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.slam.models.state_vector import FIRST_ANCHOR, PER_ANCHOR, Layout
+
+__all__ = ["VirtualAnchors", "implied_walls", "vrp_by_anchor", "vrp_by_image", "vrp_of_image"]
+
+Array = NDArray[np.float64]
+
+
+def vrp_of_image(image: Array, anchor: Array) -> Array:
+    """VRPs of the walls half-way between anchors and virtual anchors, (3), RP at the origin; (..., 2)."""
+    chord = image - anchor
+    rise = np.sum(image * image, axis=-1) - np.sum(anchor * anchor, axis=-1)
+    return np.asarray((rise / np.sum(chord * chord, axis=-1))[..., None] * chord)
+
+
+def vrp_by_image(image: Array, anchor: Array) -> Array:
+    """Jacobians (..., 2, 2) of VRPs by virtual anchors (..., 2) of anchors (..., 2)."""
+    chord = image - anchor
+    square = np.sum(chord * chord, axis=-1)[..., None, None]
+    rise = (np.sum(image * image, axis=-1) - np.sum(anchor * anchor, axis=-1))[..., None, None]
+    by_scale = 2.0 * (image[..., None, :] - rise / square * chord[..., None, :])
+    return np.asarray((chord[..., :, None] * by_scale + rise * np.eye(2)) / square)
+
+
+def vrp_by_anchor(image: Array, anchor: Array) -> Array:
+    """Jacobians (..., 2, 2) of VRPs by anchors (..., 2), of virtual anchors (..., 2) that stay."""
+    chord = image - anchor
+    square = np.sum(chord * chord, axis=-1)[..., None, None]
+    rise = (np.sum(image * image, axis=-1) - np.sum(anchor * anchor, axis=-1))[..., None, None]
+    by_scale = 2.0 * (rise / square * chord[..., None, :] - anchor[..., None, :])
+    return np.asarray((chord[..., :, None] * by_scale - rise * np.eye(2)) / square)
+
+
+class VirtualAnchors(NamedTuple):
+    """The slots of R state vectors that hold virtual anchors (:mod:`estimator.slam.models.state_vector`).
+
+    Parameters
+    ----------
+    point_m : ndarray, shape (R, L, 2)
+        The virtual anchors, gauge frame, metres.
+    by_slot : ndarray, shape (R, L, 2, 2)
+        Derivatives of the points by distance and bearing.
+    anchor_m : ndarray, shape (R, K, 2)
+        The physical anchors.
+    """
+
+    point_m: Array
+    by_slot: Array
+    anchor_m: Array
+
+    @classmethod
+    def of(cls, mean: Array, layout: Layout) -> VirtualAnchors:
+        """Those of state vectors (R, n)."""
+        devices = mean[:, FIRST_ANCHOR : layout.walls.start].reshape(len(mean), layout.anchors, PER_ANCHOR)
+        slots = mean[:, layout.walls].reshape(len(mean), layout.slots, layout.per_slot)
+        distance, bearing = slots[..., 0], slots[..., 1]
+        outward = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+        across = np.stack([-outward[..., 1], outward[..., 0]], axis=-1)
+        point = slots[..., 2:4] + distance[..., None] * outward
+        by_slot = np.stack([outward, distance[..., None] * across], axis=-1)
+        return cls(point, by_slot, devices[..., 0:2])
+
+
+def implied_walls(mean: Array, layout: Layout, owner: NDArray[np.int64]) -> Array:
+    """VRPs (R, L, 2) of the walls that the slots hold or, as virtual anchors, imply.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (R, n)
+        State vectors.
+    layout : Layout
+        Positions in them.
+    owner : ndarray of int64, shape (L,)
+        The anchor whose virtual anchor each slot holds; of empty slots anything.
+    """
+    if layout.shared:
+        return mean[:, layout.walls].reshape(len(mean), layout.slots, 2)
+    places = VirtualAnchors.of(mean, layout)
+    return vrp_of_image(places.point_m, places.anchor_m[:, owner])
