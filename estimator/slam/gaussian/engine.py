@@ -178,7 +178,7 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
             config.lifecycle.extent_margin_m,
             config.lifecycle.most_log_odds,
         )
-    slots = replace(slots, extent_m=extent, detected_from_m=detected_from, log_odds=odds)
+    slots = slots._replace(extent_m=extent, detected_from_m=detected_from, log_odds=odds)
     return (
         state.but(hypotheses=after, slots=slots, log_evidence=state.log_evidence + evidence),
         done.explained[best],

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,7 @@ Array = NDArray[np.float64]
 FORMAT = "hapslam-gaussian-state/4"
 
 
-@dataclass(frozen=True, eq=False)
-class Slots:
+class Slots(NamedTuple):
     """What all hypotheses agree on about the slots of walls or virtual anchors.
 
     Parameters
@@ -58,11 +56,10 @@ class Slots:
 
     def copy(self) -> Slots:
         """A copy whose arrays may be changed."""
-        return Slots(*(getattr(self, entry.name).copy() for entry in fields(self)))
+        return Slots._make([column.copy() for column in self])
 
 
-@dataclass(frozen=True, eq=False)
-class GaussianState:
+class GaussianState(NamedTuple):
     """Hypotheses and what the next steps need of the past.
 
     Parameters
@@ -118,7 +115,7 @@ class GaussianState:
 
     def but(self, **changes: Any) -> GaussianState:
         """The same with some fields changed."""
-        return replace(self, **changes)
+        return self._replace(**changes)
 
 
 _SCALARS = ("carrier_hz", "bearing_rad", "epoch", "time_s", "log_evidence", "next_wall_id", "shared")
@@ -131,7 +128,7 @@ def save_state(state: GaussianState) -> bytes:
         name: getattr(state, name) for name in (*_SCALARS, "losses_db", "anchor_names")
     }
     columns |= {f"hypotheses.{name}": getattr(state.hypotheses, name) for name in Hypotheses._fields}
-    columns |= {f"slots.{entry.name}": getattr(state.slots, entry.name) for entry in fields(Slots)}
+    columns |= {f"slots.{name}": getattr(state.slots, name) for name in Slots._fields}
     columns |= {f"track.{name}": getattr(state.buffer.track, name) for name in Track._fields}
     columns |= {f"buffer.{name}": getattr(state.buffer, name) for name in _BUFFER}
     return pack(FORMAT, columns)
@@ -151,7 +148,7 @@ def load_state(data: bytes) -> GaussianState:
         return GaussianState(
             anchor_names=tuple(str(name) for name in columns["anchor_names"]),
             hypotheses=Hypotheses(*(columns[f"hypotheses.{name}"] for name in Hypotheses._fields)),
-            slots=Slots(*(columns[f"slots.{entry.name}"] for entry in fields(Slots))),
+            slots=Slots(*(columns[f"slots.{name}"] for name in Slots._fields)),
             buffer=PathBuffer(track, *(columns[f"buffer.{name}"] for name in _BUFFER)),
             losses_db=columns["losses_db"],
             **{name: columns[name].item() for name in _SCALARS},

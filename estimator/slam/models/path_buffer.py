@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.compiled import compiled
 from estimator.slam.models.epoch_paths import EpochPaths
 
 __all__ = ["PathBuffer", "Track"]
@@ -94,26 +95,62 @@ class PathBuffer(NamedTuple):
         window : int
             Epochs kept.
         """
-        old = int(self.track.epoch.searchsorted(epoch - window, "right"))
-        first = int(self.epoch.searchsorted(epoch - window, "right"))
-        anchor, column = np.nonzero(paths.valid)
-        track = Track(
-            np.append(self.track.epoch[old:], epoch),
-            np.concatenate([self.track.position_m[old:], position_m[None]]),
-            np.append(self.track.std_m[old:], std_m),
-        )
-        return PathBuffer(
-            track,
-            np.concatenate([self.epoch[first:], np.full(len(anchor), epoch)]),
-            np.concatenate([self.anchor[first:], anchor]),
-            np.concatenate([self.length_m[first:], paths.length_m[anchor, column]]),
-            np.concatenate([self.std_m[first:], paths.std_m[anchor, column]]),
-            np.concatenate([self.excess_loss_db[first:], paths.excess_loss_db[anchor, column]]),
-            np.concatenate([self.unassociated[first:], ~associated[anchor, column]]),
-        )
+        return _with_epoch(self, epoch, position_m, std_m, paths, associated, window)
 
     def with_associated(self, which: Mask | Index) -> PathBuffer:
         """The buffer with the paths ``which`` marked as associated: they start nothing any more."""
         unassociated = self.unassociated.copy()
         unassociated[which] = False
         return self._replace(unassociated=unassociated)
+
+
+@compiled
+def _with_epoch(
+    buffer: PathBuffer,
+    epoch: int,
+    position_m: Array,
+    std_m: float,
+    paths: EpochPaths,
+    associated: Mask,
+    window: int,
+) -> PathBuffer:
+    track = buffer.track
+    old = first = 0
+    while old < track.epoch.size and track.epoch[old] <= epoch - window:
+        old += 1
+    while first < buffer.epoch.size and buffer.epoch[first] <= epoch - window:
+        first += 1
+    kept = track.epoch.size - old
+    place = Track(np.empty(kept + 1, dtype=np.int64), np.empty((kept + 1, 2)), np.empty(kept + 1))
+    for i in range(kept):
+        place.epoch[i], place.std_m[i] = track.epoch[old + i], track.std_m[old + i]
+        place.position_m[i, 0], place.position_m[i, 1] = (
+            track.position_m[old + i, 0],
+            track.position_m[old + i, 1],
+        )
+    place.epoch[kept], place.std_m[kept] = epoch, std_m
+    place.position_m[kept, 0], place.position_m[kept, 1] = position_m[0], position_m[1]
+    n = buffer.epoch.size - first
+    total = n + paths.number.sum()
+    after = PathBuffer(
+        place,
+        np.empty(total, dtype=np.int64),
+        np.empty(total, dtype=np.int64),
+        np.empty(total),
+        np.empty(total),
+        np.empty(total),
+        np.empty(total, dtype=np.bool_),
+    )
+    for i in range(n):
+        after.epoch[i], after.anchor[i] = buffer.epoch[first + i], buffer.anchor[first + i]
+        after.length_m[i], after.std_m[i] = buffer.length_m[first + i], buffer.std_m[first + i]
+        after.excess_loss_db[i] = buffer.excess_loss_db[first + i]
+        after.unassociated[i] = buffer.unassociated[first + i]
+    for k in range(paths.number.size):
+        for j in range(paths.number[k]):
+            after.epoch[n], after.anchor[n] = epoch, k
+            after.length_m[n], after.std_m[n] = paths.length_m[k, j], paths.std_m[k, j]
+            after.excess_loss_db[n] = paths.excess_loss_db[k, j]
+            after.unassociated[n] = not associated[k, j]
+            n += 1
+    return after

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from estimator.slam.features import Prediction
 
 from estimator.experiments.cases import Case, limit_of
 from estimator.experiments.room import Room
@@ -21,7 +22,6 @@ from estimator.experiments.summary import score_curves
 from estimator.measurements import AnchorPaths, Epoch, MeasurementSet
 from estimator.result import SlamResult
 from estimator.slam import run_slam
-from estimator.slam.features import Prediction
 from estimator.specular import specular_paths
 
 HYBRID = Case("hybrid", "gaussian")

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-
-from estimator.geometry import mirror
 from estimator.slam.features import predict_azimuths, predict_paths, reflect, wall_side
 from estimator.slam.layout import Layout
+
+from estimator.geometry import mirror
 from estimator.specular import specular_paths
 
 

@@ -110,6 +110,44 @@ def best_slope(
     return most, at
 
 
+@compiled
+def crowded(
+    buffer: PathBuffer, now: int, limit_db: Array, range_std_m: float, window: int, support: int
+) -> bool:
+    """Whether some path of the last two epochs has company in enough others: a quick test for most epochs."""
+    count, track = buffer.epoch.size, buffer.track
+    first = 0
+    while first < count and buffer.epoch[first] <= now - window:
+        first += 1
+    offset = 0
+    row = np.empty(count, dtype=np.int64)
+    use = np.zeros(count, dtype=np.bool_)
+    for n in range(first, count):
+        while track.epoch[offset] < buffer.epoch[n]:
+            offset += 1
+        row[n] = offset
+        use[n] = buffer.unassociated[n] and not buffer.excess_loss_db[n] >= limit_db[buffer.anchor[n]]
+    for b in range(count - 1, first - 1, -1):
+        if buffer.epoch[b] < now - 1:
+            break
+        if not use[b]:
+            continue
+        near = 0
+        own = max(buffer.std_m[b], range_std_m)
+        for a in range(first, count):
+            if not use[a] or buffer.anchor[a] != buffer.anchor[b]:
+                continue
+            dx = track.position_m[row[a], 0] - track.position_m[row[b], 0]
+            dy = track.position_m[row[a], 1] - track.position_m[row[b], 1]
+            other = max(buffer.std_m[a], range_std_m)
+            reach = np.sqrt(dx * dx + dy * dy) + 4.0 * np.sqrt(own * own + other * other)
+            if abs(buffer.length_m[a] - buffer.length_m[b]) < reach:
+                near += 1
+                if near >= support:
+                    return True
+    return False
+
+
 def find_line(
     buffer: PathBuffer, now: int, limit_db: Array, range_std_m: float, config: Births
 ) -> Line | None:
@@ -129,6 +167,8 @@ def find_line(
     config : Births
         Windows and limits.
     """
+    if not crowded(buffer, now, limit_db, range_std_m, config.birth_window, config.birth_support):
+        return None
     use = buffer.unassociated & (buffer.epoch > now - config.birth_window)
     rows = np.flatnonzero(use)
     if rows.size < config.birth_support:

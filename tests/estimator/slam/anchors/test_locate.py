@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimator.slam.anchors.locate import locate_anchors
+from estimator.slam.features import reflect
+from estimator.slam.gaussian.hindsight import look_back
+from estimator.slam.gaussian.paths import stack_paths
 
 from estimator.measurements import AnchorPaths
 from estimator.slam import GaussianConfig, start, step
 from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.anchors.labellings import labellings
-from estimator.slam.anchors.locate import locate_anchors
 from estimator.slam.anchors.observations import Observations
 from estimator.slam.anchors.search import Candidates, evidence_at, scene_of
-from estimator.slam.features import reflect
-from estimator.slam.gaussian.hindsight import look_back
-from estimator.slam.gaussian.paths import stack_paths
 from estimator.slam.run import config_for, run_slam
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 

@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-
-from estimator.slam import GaussianConfig
 from estimator.slam.births.walls import Line, find_line, wall_bank
 from estimator.slam.features import reflect
 from estimator.slam.layout import Layout
+
+from estimator.slam import GaussianConfig
 
 CONFIG = GaussianConfig()
 TRUE = np.array([0.0, 90.0])  # the wall y = 45

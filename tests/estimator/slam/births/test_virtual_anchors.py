@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from estimator.slam.births.mirrors import Recent, search
+from estimator.slam.births.virtual_anchors import VirtualAnchors, implied_walls, vrp_by_image, vrp_of_image
+from estimator.slam.engine import GaussianEngine, Prior
+from estimator.slam.features import predict_azimuths, predict_paths
+from estimator.slam.layout import Layout
 
 from estimator.errors import InputError
 from estimator.geometry import mirror
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.readers.range_sets import load_ranges
 from estimator.slam import GaussianConfig, load_state, run_slam, save_state, start
-from estimator.slam.births.mirrors import Recent, search
-from estimator.slam.births.virtual_anchors import VirtualAnchors, implied_walls, vrp_by_image, vrp_of_image
-from estimator.slam.engine import GaussianEngine, Prior
-from estimator.slam.features import predict_azimuths, predict_paths
-from estimator.slam.layout import Layout
 from estimator.slam.methods import METHODS
 from estimator.slam.run import config_for
 from estimator.waveform import SPEED_OF_LIGHT_M_S

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from estimator.slam.gaussian.sweeps import predict_flashes, take_sweep
 
 from estimator.geometry import mirror_in_wall, rotation_matrix
 from estimator.measurements import GaussianVrp
 from estimator.slam import GaussianEngine, Prior, epoch_rng, run_slam
-from estimator.slam.gaussian.sweeps import predict_flashes, take_sweep
 from estimator.slam.run import config_for
 from tests.estimator.slam.test_features import state_of
 

@@ -6,13 +6,13 @@ from itertools import product
 
 import numpy as np
 import pytest
+from estimator.slam.config import GaussianConfig
+from estimator.slam.gaussian.paths import PathTable
+from estimator.slam.layout import Layout
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from estimator.slam.config import GaussianConfig
-from estimator.slam.gaussian.paths import PathTable
 from estimator.slam.gaussian.update import correct
-from estimator.slam.layout import Layout
 
 CONFIG = GaussianConfig(range_std_m=0.1, region_m=3000.0, clutter_mean=3.0)
 LAYOUT = Layout(3, 0, shared=False)

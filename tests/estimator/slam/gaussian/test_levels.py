@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimator.slam.features import reflect
+from estimator.slam.gaussian.levels import known_gains, learn_levels, loss_limits, normal_loss_db
 
 from estimator.measurements import GaussianVrp
 from estimator.slam import GaussianConfig
-from estimator.slam.features import reflect
-from estimator.slam.gaussian.levels import known_gains, learn_levels, loss_limits, normal_loss_db
 from estimator.slam.gaussian.start import start
 
 WALLS = np.array([[40.0, 0.0], [-24.0, 0.0], [0.0, 30.0]])  # the first defines the gauge frame

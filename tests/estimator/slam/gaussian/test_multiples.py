@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimator.slam.features import reflect
+from estimator.slam.gaussian.multiples import multiple_lengths, redundant_walls
 from scipy.optimize import minimize
 
 from estimator.measurements import GaussianVrp
 from estimator.slam import GaussianConfig, run_slam
-from estimator.slam.features import reflect
-from estimator.slam.gaussian.multiples import multiple_lengths, redundant_walls
 from estimator.slam.gaussian.slots import open_slot, retire
 from estimator.slam.gaussian.start import start
 

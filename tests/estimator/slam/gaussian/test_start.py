@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from estimator.slam.estimate import estimate
 
 from estimator.errors import InputError
 from estimator.measurements import GaussianVrp
 from estimator.slam import GaussianConfig, start
-from estimator.slam.estimate import estimate
 
 
 def walls_of(rng=None, turn=0.0):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import norm
-
-from estimator.slam.association import associate
 from estimator.slam.config import GaussianConfig
 from estimator.slam.gaussian.paths import PathTable
 from estimator.slam.gaussian.swaps import exchange_odds, with_exchange
-from estimator.slam.gaussian.update import correct
 from estimator.slam.layout import Layout
+from scipy.stats import norm
+
+from estimator.slam.association import associate
+from estimator.slam.gaussian.update import correct
 from tests.estimator.slam.test_association import enumerate_all
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
-
 from estimator.slam.features import predict_paths
 from estimator.slam.gaussian.kalman import kalman
 from estimator.slam.gaussian.turning import turned
 from estimator.slam.layout import Layout
+from scipy.linalg import block_diag
 
 LAYOUT = Layout(2, 2)
 ANCHOR, WALL = LAYOUT.anchor_xy(0), LAYOUT.wall(1)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
-
 from estimator.slam.config import GaussianConfig
 from estimator.slam.features import predict_paths
 from estimator.slam.gaussian.kalman import kalman
 from estimator.slam.gaussian.paths import PathTable
-from estimator.slam.gaussian.update import correct
 from estimator.slam.layout import Layout
+from scipy.stats import multivariate_normal
+
+from estimator.slam.gaussian.update import correct
 from tests.estimator.slam.test_features import state_of
 
 

@@ -7,12 +7,12 @@ from itertools import product
 
 import numpy as np
 import pytest
+from estimator.slam.config import GaussianConfig
 
 from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import rotate
 from estimator.measurements import AnchorPaths
 from estimator.slam import run_slam
-from estimator.slam.config import GaussianConfig
 from estimator.slam.run import config_for
 from estimator.slam.smoothing.association import visibility
 from estimator.slam.smoothing.refine import RefineConfig, refine
