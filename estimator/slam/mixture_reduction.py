@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from estimator.compiled import compiled
 from estimator.slam.models.hypotheses import Hypotheses
+from estimator.slam.models.ordering import descending, taken
 from estimator.slam.models.settings import Settings, positive
 from estimator.slam.models.state_vector import Layout
 
@@ -92,22 +93,30 @@ def _alike(hypotheses: Hypotheses, std: Array, i: int, j: int, limit: float) -> 
 def _merge(hypotheses: Hypotheses, members: NDArray[np.int64]) -> None:
     """Make the first of the members their moments, in place; the others are left without weight."""
     head = members[0]
-    weight = np.exp(hypotheses.log_weight[members] - hypotheses.log_weight[head])
-    total = weight.sum()
-    weight /= total
+    weight = np.empty(members.size)
+    total = 0.0
+    for i in range(members.size):
+        weight[i] = np.exp(hypotheses.log_weight[members[i]] - hypotheses.log_weight[head])
+        total += weight[i]
+    for i in range(members.size):
+        weight[i] /= total
     n = hypotheses.mean.shape[1]
     centre = np.zeros(n)
     spread = np.zeros((n, n))
     visibility = np.zeros(hypotheses.visibility[head].shape)
     for i in range(members.size):
-        centre += weight[i] * hypotheses.mean[members[i]]
-        visibility += weight[i] * hypotheses.visibility[members[i]]
-    for i in range(members.size):
-        offset = hypotheses.mean[members[i]] - centre
-        own = hypotheses.covariance[members[i]]
+        own_mean, own_visibility = hypotheses.mean[members[i]], hypotheses.visibility[members[i]]
         for a in range(n):
+            centre[a] += weight[i] * own_mean[a]
+        for k in range(visibility.shape[0]):
+            for f in range(visibility.shape[1]):
+                visibility[k, f] += weight[i] * own_visibility[k, f]
+    for i in range(members.size):
+        own_mean, own = hypotheses.mean[members[i]], hypotheses.covariance[members[i]]
+        for a in range(n):
+            offset = own_mean[a] - centre[a]
             for b in range(n):
-                spread[a, b] += weight[i] * (own[a, b] + offset[a] * offset[b])
+                spread[a, b] += weight[i] * (own[a, b] + offset * (own_mean[b] - centre[b]))
     hypotheses.mean[head], hypotheses.covariance[head] = centre, spread
     hypotheses.visibility[head] = visibility
     hypotheses.log_weight[head] += np.log(total)
@@ -118,7 +127,7 @@ def _merge(hypotheses: Hypotheses, members: NDArray[np.int64]) -> None:
 @compiled
 def _ordered(log_weight: Array, prune_nats: float) -> NDArray[np.int64]:
     """The hypotheses that are likely enough, likeliest first."""
-    order = np.argsort(-log_weight, kind="mergesort")
+    order = descending(log_weight)
     least = log_weight[order[0]] - prune_nats
     count = 1
     while count < order.size and log_weight[order[count]] > least:
@@ -129,13 +138,13 @@ def _ordered(log_weight: Array, prune_nats: float) -> NDArray[np.int64]:
 @compiled
 def _taken(hypotheses: Hypotheses, index: NDArray[np.int64]) -> Hypotheses:
     return Hypotheses(
-        hypotheses.log_weight[index],
-        hypotheses.mean[index],
-        hypotheses.covariance[index],
-        hypotheses.located[index],
-        hypotheses.present[index],
-        hypotheses.visibility[index],
-        hypotheses.support[index],
+        taken(hypotheses.log_weight, index),
+        taken(hypotheses.mean, index),
+        taken(hypotheses.covariance, index),
+        taken(hypotheses.located, index),
+        taken(hypotheses.present, index),
+        taken(hypotheses.visibility, index),
+        taken(hypotheses.support, index),
     )
 
 
@@ -184,5 +193,9 @@ def reduce_mixture(hypotheses: Hypotheses, model: ReduceModel) -> Hypotheses:
         kept = _taken(kept, _ordered(kept.log_weight, model.prune_nats))
     if kept.log_weight.size > model.most:
         kept = _taken(kept, np.arange(model.most))
-    kept.log_weight[:] -= kept.log_weight[0] + np.log(np.exp(kept.log_weight - kept.log_weight[0]).sum())
+    best, total = kept.log_weight[0], 0.0
+    for i in range(kept.log_weight.size):
+        total += np.exp(kept.log_weight[i] - best)
+    for i in range(kept.log_weight.size):
+        kept.log_weight[i] -= best + np.log(total)
     return kept

@@ -25,6 +25,7 @@ from estimator.slam.models.directions import azimuth_gradient, azimuth_of, wrapp
 from estimator.slam.models.epoch_paths import EpochPaths
 from estimator.slam.models.features import MOST_ENTRIES, sources
 from estimator.slam.models.kalman import joint_update, scalar_update
+from estimator.slam.models.ordering import descending, taken
 from estimator.slam.models.path_lengths import path_lengths
 from estimator.slam.models.settings import Settings, positive, probability
 from estimator.slam.models.state_vector import Layout
@@ -223,9 +224,9 @@ def _moment_match(
     joint_update(
         mean,
         covariance,
-        gated.position[used],
-        gated.value[used],
-        gated.entries[used],
+        taken(gated.position, used),
+        taken(gated.value, used),
+        taken(gated.entries, used),
         expected[:m],
         variance[:m],
     )
@@ -296,7 +297,7 @@ def resolve(
     """
     pending = ambiguous
     for turn in range(model.ambiguities + 1):
-        following = np.empty(0, dtype=np.int64)
+        following, waiting = np.empty(model.most_branches, dtype=np.int64), 0
         size = count
         for b in pending:
             parent = branches.parent[b]
@@ -343,15 +344,15 @@ def resolve(
                 alternatives[j] = share[worst, j]
                 alternatives[-1] -= share[worst, j]
             alternatives[-1] = max(alternatives[-1], 0.0)
-            order = np.argsort(-alternatives, kind="mergesort")
-            taken = 1
+            order = descending(alternatives)
+            chosen = 1
             while (
-                taken < min(order.size, model.most_alternatives)
-                and alternatives[order[taken]] > model.least_probability
+                chosen < min(order.size, model.most_alternatives)
+                and alternatives[order[chosen]] > model.least_probability
             ):
-                taken += 1
-            branches = room_for(branches, count + taken)
-            for i in range(taken - 1, -1, -1):
+                chosen += 1
+            branches = room_for(branches, count + chosen)
+            for i in range(chosen - 1, -1, -1):
                 target = b
                 if i > 0:
                     target = count
@@ -359,9 +360,10 @@ def resolve(
                     copy_branch(branches, b, target)
                 j = order[i] if order[i] < paths.number[k] else -1
                 _decide(layout, branches, target, gated, worst, j, paths, gates.range_std_m)
-                following = np.append(following, target)
-        pending = following
-        if pending.size == 0:
+                following[waiting] = target
+                waiting += 1
+        pending = following[:waiting]
+        if waiting == 0:
             break
     return branches, count
 

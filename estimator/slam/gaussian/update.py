@@ -28,6 +28,7 @@ from estimator.slam.models.features import active_features, possible_paths, sour
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.kalman import joint_update
 from estimator.slam.models.motion import predict_motion
+from estimator.slam.models.ordering import descending, taken
 from estimator.slam.models.path_lengths import path_lengths
 from estimator.slam.models.settings import Settings, not_negative, probability
 from estimator.slam.models.state_vector import Layout
@@ -185,9 +186,9 @@ def _take_sure(
         log_evidence += joint_update(
             mean,
             covariance,
-            gated.position[used],
-            gated.value[used],
-            gated.entries[used],
+            taken(gated.position, used),
+            taken(gated.value, used),
+            taken(gated.entries, used),
             innovation[:m],
             variance[:m],
         )
@@ -300,12 +301,15 @@ def update_hypotheses(
         branches, count = resolve(
             layout, limits, gates, branches, count, ambiguous[:doubtful], likely, chance, paths, clutter
         )
-    order = np.argsort(branches.parent[:count], kind="mergesort")
-    parent = branches.parent[order]
-    mean, covariance = branches.mean[order], branches.covariance[order]
-    detected, explained = branches.detected[order], branches.explained[order]
-    visibility = hypotheses.visibility[parent]
-    support = hypotheses.support[parent]
+    order = descending(-branches.parent[:count].astype(np.float64))
+    parent = taken(branches.parent, order)
+    mean, covariance = taken(branches.mean, order), taken(branches.covariance, order)
+    detected, explained = taken(branches.detected, order), taken(branches.explained, order)
+    visibility = taken(hypotheses.visibility, parent)
+    support = taken(hypotheses.support, parent)
+    log_weight = taken(hypotheses.log_weight, parent)
+    for b in range(count):
+        log_weight[b] += branches.log_evidence[order[b]]
     for b in range(count):
         r = parent[b]
         for k in range(anchors):
@@ -325,11 +329,11 @@ def update_hypotheses(
                 layout, before[r], mean[b], covariance[b], hypotheses.located[r], model.most_turn_rad
             )
     corrected = Hypotheses(
-        hypotheses.log_weight[parent] + branches.log_evidence[order],
+        log_weight,
         mean,
         covariance,
-        hypotheses.located[parent],
-        hypotheses.present[parent],
+        taken(hypotheses.located, parent),
+        taken(hypotheses.present, parent),
         visibility,
         support,
     )

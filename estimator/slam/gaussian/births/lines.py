@@ -71,16 +71,15 @@ def company(time: Array, length: Array, std: Array, place: Array, latest: Index)
 
 
 @compiled
-def best_slope(
+def slope_votes(
     time: Array, length: Array, std: Array, place: Array, b: int, sigma: float, apart: int
-) -> tuple[int, float]:
-    """The slope through path ``b`` that most other paths lie near, and how many do; (0, 0) if none can be.
+) -> tuple[Array, Array]:
+    """Slopes that other paths allow a line through path ``b``: where each interval begins and ends.
 
     A path ``t`` epochs away votes for the slopes that bring the line within ``sigma`` standard deviations.
     """
     n = time.size
     begin, end, votes = np.empty(n), np.empty(n), 0
-    low, high = -np.inf, np.inf
     for a in range(n):
         gap = time[b] - time[a]
         if gap < apart:
@@ -92,10 +91,13 @@ def best_slope(
         middle, half = (length[b] - length[a]) / gap, sigma * std[a] / gap
         begin[votes], end[votes] = middle - half, middle + half
         votes += 1
-    if votes == 0 or low > high:
-        return 0, 0.0
-    first, last = np.sort(begin[:votes]), np.sort(end[:votes])
-    # sweep over the slopes: where most intervals overlap
+    return begin[:votes], end[:votes]
+
+
+@compiled
+def most_overlap(first: Array, last: Array) -> tuple[int, float]:
+    """Where most intervals overlap, given their sorted begins and ends, and how many do."""
+    votes = first.size
     i = j = inside = most = 0
     at = first[0]
     while i < votes:
@@ -196,7 +198,10 @@ def _best_line(buffer: PathBuffer, rows: Index, now: int, range_std_m: float, co
     order = np.argsort(-near, kind="stable")[: config.most_line_paths]
     most, slope, through = 0, 0.0, -1
     for b in latest[order[near[order] >= config.birth_support]].tolist():
-        count, at = best_slope(time, length, std, place, b, config.line_sigma, config.line_epochs)
+        begin, end = slope_votes(time, length, std, place, b, config.line_sigma, config.line_epochs)
+        if begin.size == 0:
+            continue
+        count, at = most_overlap(np.sort(begin), np.sort(end))
         if count > most:
             most, slope, through = count, at, b
     if through < 0 or most + 1 < config.birth_support:
