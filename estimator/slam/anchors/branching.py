@@ -12,7 +12,6 @@ mixture reduction.
 
 from __future__ import annotations
 
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +22,6 @@ from estimator.slam.anchors.joint_update import (
     updated,
     weigh_labellings,
 )
-
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.state_vector import Layout
 
