@@ -96,7 +96,7 @@ def _children(
     """Hypothesis, labelling and log weight of the children that are made, the likeliest first."""
     bound = base.log_weight[:, None] + places.log_evidence
     order = np.argsort(-bound, axis=None, kind="stable")
-    weight = np.full((len(base), len(places.label)), -np.inf)
+    weight = np.full((base.number, len(places.label)), -np.inf)
     weigh_labellings(base.log_weight, base.mean, base.covariance, where, places, order, best, limits, weight)
     row, child = np.nonzero(weight > max(best, float(weight.max(initial=-np.inf))) - limits.prune_nats)
     made = weight[row, child]
