@@ -173,9 +173,11 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
             detected,
             paths.number > 0,
             slots.extent_m,
+            slots.detected_from_m,
             odds,
             config.lifecycle.expected_probability,
             config.lifecycle.extent_margin_m,
+            config.lifecycle.revisit_m,
             config.lifecycle.most_log_odds,
         )
     slots = slots._replace(extent_m=extent, detected_from_m=detected_from, log_odds=odds)

@@ -52,7 +52,10 @@ class Lifecycle(Settings):
         Probability that a wall is detected where it was detected before, within its observed extent: less
         than one, for things may stand in the way.
     extent_margin_m : float
-        How far inside the ends of the observed extent a bounce is expected, metres.
+        How far inside the ends of the observed extent a bounce is expected, metres,
+    revisit_m : float
+        and how near to the stretch of track that the wall was detected on: elsewhere something may stand in
+        the way, metres.
     most_log_odds : float
         Log odds of existence, at most: what was detected for ages may vanish.
     delete_log_odds : float
@@ -72,6 +75,7 @@ class Lifecycle(Settings):
     third_order_walls: int = not_negative(8)
     expected_probability: float = probability(0.5)
     extent_margin_m: float = not_negative(0.5)
+    revisit_m: float = positive(1.0)
     most_log_odds: float = positive(20.0)
     delete_log_odds: float = positive(10.0)
     duplicate_m: float = positive(0.5)
@@ -172,6 +176,15 @@ def delete_redundant(
 
 
 @compiled
+def _is_near_stretch(mean: Array, stretch: Array, reach: float) -> bool:
+    """Whether the agent is within ``reach`` of the segment between two places (2, 2); not if they are NaN."""
+    dx, dy = stretch[1, 0] - stretch[0, 0], stretch[1, 1] - stretch[0, 1]
+    x, y = mean[0] - stretch[0, 0], mean[1] - stretch[0, 1]
+    along = min(max((x * dx + y * dy) / max(dx * dx + dy * dy, 1e-9), 0.0), 1.0)
+    return bool((x - along * dx) ** 2 + (y - along * dy) ** 2 < reach * reach)
+
+
+@compiled
 def existence_odds(
     layout: Layout,
     mean: Array,
@@ -181,9 +194,11 @@ def existence_odds(
     detected: Array,
     asked: Mask,
     extent: Array,
+    detected_from: Array,
     log_odds: Array,
     expected: float,
     margin: float,
+    revisit: float,
     most: float,
 ) -> Array:
     """Log odds (L,) of existence after an epoch: detections raise them, misses inside the extent lower them.
@@ -200,10 +215,13 @@ def existence_odds(
         Anchors of which any path was heard: the others tell nothing.
     extent : ndarray, shape (L, 2)
         Observed extents, metres.
+    detected_from : ndarray, shape (L, K, 2, 2)
+        Where the agent first and last detected each anchor over each wall, NaN if never.
     log_odds : ndarray, shape (L,)
         Log odds before.
-    expected, margin, most : float
-        ``expected_probability``, ``extent_margin_m`` and ``most_log_odds`` of :class:`Lifecycle`.
+    expected, margin, revisit, most : float
+        ``expected_probability``, ``extent_margin_m``, ``revisit_m`` and ``most_log_odds`` of
+        :class:`Lifecycle`.
     """
     after = log_odds.copy()
     first_slot = FIRST_ANCHOR + PER_ANCHOR * layout.anchors
@@ -218,6 +236,8 @@ def existence_odds(
             a = FIRST_ANCHOR + PER_ANCHOR * k
             seen = detected[k, 1 + i]
             after[i] += seen
+            if not _is_near_stretch(mean, detected_from[i, k], revisit):
+                continue
             if here * side_of_wall(mean[a], mean[a + 1], mean[w], mean[w + 1]) > 0.0:
                 along = bounce_along_wall(mean[0], mean[1], mean[a], mean[a + 1], mean[w], mean[w + 1])
                 if extent[i, 0] + margin < along < extent[i, 1] - margin:
