@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from estimator.slam.features import Prediction
 
 from estimator.experiments.cases import Case, limit_of
 from estimator.experiments.room import Room
@@ -22,6 +21,7 @@ from estimator.experiments.summary import score_curves
 from estimator.measurements import AnchorPaths, Epoch, MeasurementSet
 from estimator.result import SlamResult
 from estimator.slam import run_slam
+from estimator.slam.gaussian import engine
 from estimator.specular import specular_paths
 
 HYBRID = Case("hybrid", "gaussian")
@@ -72,15 +72,24 @@ def without(paths: AnchorPaths, index: Any) -> AnchorPaths:
 
 
 def jacobians_sign(patch: pytest.MonkeyPatch) -> None:
-    """Path lengths shrink where they should grow with the agent's x."""
-    right = Prediction.derivatives
+    """Path lengths shrink where they should grow with the agent's x.
 
-    def wrong(self: Prediction, feature: Any) -> Any:
-        jacobian = right(self, feature)
-        jacobian[..., 0] *= -1.0
-        return jacobian
+    With D that turns the sign of x, derivatives H D and a covariance P correct as H and D P D do, but for
+    the sign of the shift of x: so the fault is planted round the compiled update.
+    """
+    right = engine.update_hypotheses
 
-    patch.setattr(Prediction, "derivatives", wrong)
+    def wrong(layout: Any, model: Any, gates: Any, limits: Any, hypotheses: Any, *rest: Any) -> Any:
+        turn = np.where(np.arange(layout.size) == 0, -1.0, 1.0)
+        given = hypotheses._replace(covariance=hypotheses.covariance * turn * turn[:, None])
+        done = right(layout, model, gates, limits, given, *rest)
+        before, after = hypotheses.mean[done.parent], done.hypotheses
+        turned = after._replace(
+            mean=before + turn * (after.mean - before), covariance=after.covariance * turn * turn[:, None]
+        )
+        return done._replace(hypotheses=turned)
+
+    patch.setattr(engine, "update_hypotheses", wrong)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ def test_ranges_are_cut_into_epochs_and_anchors(archive: Path) -> None:
     np.testing.assert_allclose(measured.epochs[0].paths[0].range_std_m, 0.1)
     assert [epoch.time_s for epoch in measured.epochs] == [0.0, 0.5]
     np.testing.assert_allclose(measured.known_anchors_m, [[0.0, 1.0], [2.0, 3.0]])
-    model = config_for(measured)
+    model = config_for(measured).noise
     assert (model.range_std_m, model.region_m, model.height2_std_m2) == (0.1, 30.0, 0.0)
 
 

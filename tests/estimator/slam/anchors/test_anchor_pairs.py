@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from estimator.evaluation.metrics import best_rotation, derotated, nees
-from estimator.slam import run_many
+from estimator.slam import run_slam
 from estimator.specular import specular_paths
 from tests.estimator.slam.conftest import Room
 
 OTHER_PAIR = ((75.0, 5.0), (65.0, 55.0))
 _AWAY_M = 2.0  # from walls
-_TOGETHER = 20
 
 
 def heard_at_once(room: Room) -> np.ndarray:
@@ -39,12 +38,12 @@ def random_pairs(room: Room, count: int, seed: int) -> list[Room]:
 def outcomes(room: Room, seeds: range) -> np.ndarray:
     """De-rotated errors of the tracks (RMS) and at their ends, m, and NEES per dimension there, (N, 3)."""
     truth, rows = room.track - room.track[0], []
-    for begin in range(0, len(seeds), _TOGETHER):
-        for result in run_many([room.measure(seed) for seed in seeds[begin : begin + _TOGETHER]]):
-            track = result.agent_mean[:, :2]
-            error = np.linalg.norm(derotated(track, float(best_rotation(track, truth))) - truth, axis=1)
-            honest = nees(track[-1:] - truth[-1:], result.agent_covariance[-1:, :2, :2])[0]
-            rows.append((np.sqrt(np.mean(error**2)), error[-1], honest))
+    for seed in seeds:
+        result = run_slam(room.measure(seed))
+        track = result.agent_mean[:, :2]
+        error = np.linalg.norm(derotated(track, float(best_rotation(track, truth))) - truth, axis=1)
+        honest = nees(track[-1:] - truth[-1:], result.agent_covariance[-1:, :2, :2])[0]
+        rows.append((np.sqrt(np.mean(error**2)), error[-1], honest))
     return np.array(rows)
 
 

@@ -6,21 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimator.slam.anchors.locate import locate_anchors
-from estimator.slam.features import reflect
-from estimator.slam.gaussian.hindsight import look_back
-from estimator.slam.gaussian.paths import stack_paths
 
+from estimator.geometry import mirror
 from estimator.measurements import AnchorPaths
 from estimator.slam import GaussianConfig, start, step
 from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.anchors.labellings import labellings
 from estimator.slam.anchors.observations import Observations
 from estimator.slam.anchors.search import Candidates, evidence_at, scene_of
+from estimator.slam.gaussian.anchors import initialise_anchors
+from estimator.slam.gaussian.phase import phase_of
+from estimator.slam.models.epoch_paths import stack_paths
 from estimator.slam.run import config_for, run_slam
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 
-CONFIG = GaussianConfig(clutter_mean=1.0)
+CONFIG = GaussianConfig.of(clutter_mean=1.0).noise
 SEARCH = AnchorSearchConfig()
 WALLS = np.array([[40.0, 0.0], [0.0, -30.0]])
 
@@ -39,6 +39,14 @@ def scene_at(positions, length=170.0):
         np.ones((epochs, 1)),
     )
     return scene_of(seen, WALLS, np.array([0.01 * np.eye(2)] * 2), CONFIG, SEARCH)
+
+
+def initialised(state, epoch, config):
+    """The state after the search for anchors alone."""
+    phase = phase_of(
+        state.buffer.epochs, False, config.phases, config.reduction, config.lifecycle, config.anchors
+    )
+    return initialise_anchors(state, stack_paths(epoch, state.carrier_hz), config, phase)
 
 
 def found_at(place, matches, evidence):
@@ -86,27 +94,6 @@ def test_paths_of_similar_length_get_both_labels():
     assert all(len({j for j in row if j >= 0}) == sum(j >= 0 for j in row) for row in chosen)
 
 
-def test_hindsight_explains_what_was_noted_too_early(room):
-    """Paths marked unexplained are recognised once the map explains them; clutter stays unexplained."""
-    measured = room.measure(61, epochs=40, clutter_mean=1.0)
-    config = config_for(measured)
-    state = start(measured.walls, measured.anchors, measured.carrier_hz, config)
-    for epoch in measured.epochs:
-        state = step(state, epoch, config)
-    heard = state.heard.copy()
-    heard[:, 5] = 1.0
-    past = look_back(replace(state, heard=heard), config)
-    # what nothing explained then, nothing explains now; of the rest nearly all is explained again
-    assert np.all(past.state.heard[state.heard[:, 5] == 0.0, 5].mean() < 0.1)
-    unexplained = state.heard[:, 5] == 1.0
-    assert past.state.heard[unexplained, 5].mean() > 0.5
-    # legs begin at the agent or end at an anchor
-    place = [state.rows.mean[state.rows.best, state.layout.anchor_xy(k)] for k in range(2)]
-    ends = np.array([np.min([np.linalg.norm(past.legs[:, 1] - p, axis=1) for p in place], axis=0)])
-    begins = np.linalg.norm(past.legs[:, None, 0] - state.trail[None, :, 1:3], axis=-1).min(axis=1)
-    assert np.all((ends.ravel() < 1e-9) | (begins < 1e-9))
-
-
 LATE = np.array([[75.0, 5.0], [65.0, 55.0]])  # the second shows two paths until epoch 28
 
 
@@ -151,28 +138,39 @@ def test_an_anchor_is_not_taken_for_its_own_image(room):
     state = start(measured.walls, measured.anchors, measured.carrier_hz, config)
     for epoch in measured.epochs[:-1]:
         state = step(state, epoch, config)
-    state = replace(state, epoch=40)  # the epoch in which the anchor is doubted
-    rows, layout = state.rows, state.layout
-    anchor = rows.mean[rows.best, layout.anchor_xy(0)]
-    walls = rows.mean[rows.best, layout.walls].reshape(-1, 2)
+    state = state.but(epoch=40)  # the epoch in which the anchor is doubted
+    hypotheses, layout, buffer = state.hypotheses, state.layout, state.buffer
+    anchor = hypotheses.mean[hypotheses.best, layout.anchor_xy(0)]
+    walls = hypotheses.mean[hypotheses.best, layout.walls].reshape(-1, 2)
     one, other = np.nonzero(~np.eye(len(walls), dtype=bool))
-    images = reflect(reflect(np.repeat(anchor[None], one.size, axis=0), walls[one]), walls[other])
+    images = [mirror(mirror(anchor, walls[i]), walls[j]) for i, j in zip(one, other, strict=True)]
     inside = 0.5 * anchor + 0.1 * walls.sum(axis=0)
     for place, opened in [(image, False) for image in images] + [(inside, True)]:
-        hidden = np.where(np.arange(2)[:, None] == 0, 0.0, rows.visibility)
-        heard = [state.heard[state.heard[:, 1] == 1]]
-        for t, x, y, _ in np.concatenate([state.trail, [[40, *state.trail[-1, 1:]]]]):
-            copies = np.array([[x, y], *reflect(np.repeat([[x, y]], len(walls), axis=0), walls)])
-            length = np.linalg.norm(copies - place, axis=1)
-            path = np.broadcast_to([t, 0.0, 0.0, 0.1, np.nan, 1.0], (len(length), 6)).copy()
-            path[:, 2] = length
-            heard.append(path)
-        now = heard.pop()[:, 2]
+        hidden = np.where(np.arange(2)[:, None] == 0, 0.0, hypotheses.visibility)
+        kept = buffer.anchor == 1
+        epochs, length = buffer.epoch[kept], buffer.length_m[kept]
+        for t, here in zip(
+            [*buffer.track.epoch, 40], [*buffer.track.position_m, buffer.track.position_m[-1]], strict=True
+        ):
+            copies = np.array([here, *(mirror(here, wall) for wall in walls)])
+            now = np.linalg.norm(copies - place, axis=1)
+            if t < 40:
+                epochs, length = np.append(epochs, np.full(now.size, t)), np.append(length, now)
+        order = np.argsort(epochs, kind="stable")
+        count = length.size
+        heard = buffer._replace(
+            epoch=epochs[order],
+            anchor=np.where(np.arange(count) < kept.sum(), 1, 0)[order],
+            length_m=length[order],
+            std_m=np.full(count, 0.1),
+            excess_loss_db=np.full(count, np.nan),
+            unassociated=np.ones(count, dtype=bool),
+        )
         table = AnchorPaths(now / SPEED_OF_LIGHT_M_S, np.full(now.size, 0.1 / SPEED_OF_LIGHT_M_S))
         epoch = replace(measured.epochs[-1], paths=(table, measured.epochs[-1].paths[1]))
-        doubting = replace(state, rows=replace(rows, visibility=hidden), heard=np.concatenate(heard))
-        after = locate_anchors(doubting, stack_paths(epoch, state.carrier_hz), config)
-        elsewhere = np.linalg.norm(after.rows.mean[:, layout.anchor_xy(0)] - anchor, axis=1) > 2.0
+        doubting = state.but(hypotheses=hypotheses._replace(visibility=hidden), buffer=heard)
+        after = initialised(doubting, epoch, config)
+        elsewhere = np.linalg.norm(after.hypotheses.mean[:, layout.anchor_xy(0)] - anchor, axis=1) > 2.0
         assert elsewhere.any() == opened
 
 
@@ -187,10 +185,11 @@ def test_three_features_may_be_chance(room, monkeypatch, matches, evidence, othe
     state = start(measured.walls, measured.anchors, measured.carrier_hz, config)
     for epoch in measured.epochs:
         state = step(state, epoch, config)
-    rows, place = state.rows, state.rows.mean[[state.rows.best], state.layout.anchor_xy(1)]
+    hypotheses = state.hypotheses
+    place = hypotheses.mean[[hypotheses.best], state.layout.anchor_xy(1)]
     found = found_at(place, matches, evidence)
     monkeypatch.setattr("estimator.slam.anchors.initialise.find_places", lambda *_: found)
-    located = np.tile([other, False], (len(rows), 1))
-    waiting = replace(state, rows=replace(rows, located=located))
-    after = locate_anchors(waiting, stack_paths(measured.epochs[-1], state.carrier_hz), config)
-    assert after.rows.located[:, int(other)].any() == starts
+    located = np.tile([other, False], (hypotheses.number, 1))
+    waiting = state.but(hypotheses=hypotheses._replace(located=located))
+    after = initialised(waiting, measured.epochs[-1], config)
+    assert after.hypotheses.located[:, int(other)].any() == starts

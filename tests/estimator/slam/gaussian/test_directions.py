@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from estimator.slam.gaussian.sweeps import predict_flashes, take_sweep
 
 from estimator.geometry import mirror_in_wall, rotation_matrix
 from estimator.measurements import GaussianVrp
 from estimator.slam import GaussianEngine, Prior, epoch_rng, run_slam
+from estimator.slam.gaussian.sweep_update import take_sweep
+from estimator.slam.models.state_vector import THETA
+from estimator.slam.models.sweeps import predict_flashes
 from estimator.slam.run import config_for
-from tests.estimator.slam.test_features import state_of
+from tests.estimator.slam.models.test_path_lengths import state_of
 
 
 def last_error(result, room):
@@ -21,7 +23,7 @@ def last_error(result, room):
 def test_flashes_are_the_agents_own_images(room):
     """predict_flashes() equals the mirror image of the agent, relative to it, turned by theta."""
     mean, layout = state_of(room, room.track[120])
-    mean[layout.THETA] = 0.3
+    mean[THETA] = 0.3
     flash, _ = predict_flashes(mean, layout)
     image = mirror_in_wall(room.track[120], room.walls[:, 0], room.walls[:, 1]) - room.track[120]
     c, s = np.cos(0.3), np.sin(0.3)
@@ -31,7 +33,7 @@ def test_flashes_are_the_agents_own_images(room):
 def test_flash_jacobian_matches_central_differences(room):
     """Analytic derivatives of flashes agree with central differences."""
     mean, layout = state_of(room, room.track[120])
-    mean[layout.THETA] = 0.1
+    mean[THETA] = 0.1
     _, jacobian = predict_flashes(mean, layout)
     for column in range(layout.size):
         shift = np.zeros(layout.size)
@@ -76,14 +78,22 @@ def test_a_bad_flash_of_a_known_wall_is_no_new_wall(room, sigma, entered):
     state = engine.start(Prior.of(measured), epoch_rng(0, -1))
     for epoch in measured.epochs:
         state = engine.step(state, epoch, epoch_rng(0, epoch.index))
-    flash, jacobian = predict_flashes(state.rows.mean[state.rows.best], state.layout)
+    flash, jacobian = predict_flashes(state.hypotheses.mean[state.hypotheses.best], state.layout)
     noise = 0.2 * np.eye(2)
-    spread = jacobian[0] @ state.rows.covariance[state.rows.best] @ jacobian[0].T + noise
+    spread = jacobian[0] @ state.hypotheses.covariance[state.hypotheses.best] @ jacobian[0].T + noise
     to_agent = rotation_matrix(state.bearing_rad)
     off = flash[0] + sigma * np.linalg.cholesky(spread)[:, 0]
-    after = take_sweep(state, [GaussianVrp(to_agent @ off, noise)], True, engine.models)
+    models = engine.models
+    after = take_sweep(
+        state,
+        [GaussianVrp(to_agent @ off, noise)],
+        True,
+        models.sweeps,
+        models.corrections.most_turn_rad,
+        models.visibility,
+    )
     assert np.sum(after.slots.wall_id >= 0) - np.sum(state.slots.wall_id >= 0) == entered
-    moved = np.linalg.norm(after.rows.mean[:, :2] - state.rows.mean[:, :2])
+    moved = np.linalg.norm(after.hypotheses.mean[:, :2] - state.hypotheses.mean[:, :2])
     assert (moved > 1e-6) == (sigma == 3.0)
 
 
@@ -94,5 +104,5 @@ def test_a_common_clock_stays_common(room):
     state = engine.start(Prior.of(measured), epoch_rng(0, -1))
     for epoch in measured.epochs:
         state = engine.step(state, epoch, epoch_rng(0, epoch.index))
-        biases = state.rows.mean[:, [state.layout.bias(0), state.layout.bias(1)]]
+        biases = state.hypotheses.mean[:, [state.layout.bias(0), state.layout.bias(1)]]
         np.testing.assert_allclose(biases[:, 0], biases[:, 1], atol=1e-6)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from estimator.slam.estimate import estimate
 
 from estimator.errors import InputError
 from estimator.measurements import GaussianVrp
 from estimator.slam import GaussianConfig, start
+from estimator.slam.gaussian.estimate import estimate
+from estimator.slam.models.state_vector import THETA
 
 
 def walls_of(rng=None, turn=0.0):
@@ -44,7 +45,7 @@ def test_gauge_covariance_is_that_of_sampled_walls():
     state = start(walls_of(), ("a",), 28e9, config)
     layout, draws = state.layout, 20_000
     norms = np.linalg.norm([wall.mean_m for wall in walls_of()], axis=1)
-    in_slots = np.linalg.norm(state.rows.mean[0, layout.walls].reshape(-1, 2), axis=1)
+    in_slots = np.linalg.norm(state.hypotheses.mean[0, layout.walls].reshape(-1, 2), axis=1)
     order = [int(np.argmin(np.abs(norms - norm))) for norm in in_slots]  # wall in each slot
     samples = np.empty((draws, 1 + 2 * 3))
     for n in range(draws):
@@ -54,8 +55,8 @@ def test_gauge_covariance_is_that_of_sampled_walls():
         c, s = np.cos(bearing), np.sin(bearing)
         samples[n, 0] = bearing - state.bearing_rad
         samples[n, 1:] = (means @ np.array([[c, -s], [s, c]])).ravel()
-    index = [layout.THETA, *range(layout.walls.start, layout.walls.stop)]
-    claimed = state.rows.covariance[0][np.ix_(index, index)]
+    index = [THETA, *range(layout.walls.start, layout.walls.stop)]
+    claimed = state.hypotheses.covariance[0][np.ix_(index, index)]
     sampled = np.cov(samples.T)
     scale = np.sqrt(np.outer(np.diag(claimed), np.diag(claimed))) + 1e-9
     assert np.abs((sampled - claimed) / scale).max() < 5.0 / np.sqrt(draws) + 0.01  # 0.01: curvature
@@ -65,9 +66,9 @@ def test_the_reference_wall_has_no_free_bearing():
     """The gauge frame's x axis points at the reference wall, without uncertainty across."""
     state = start(walls_of(), ("a", "b"), 28e9, GaussianConfig())
     across = state.layout.wall(0).start + 1
-    assert state.rows.mean[0, across] == 0.0
-    assert np.all(state.rows.covariance[0, across] == 0.0)
-    assert np.all(state.rows.covariance[0, :, across] == 0.0)
+    assert state.hypotheses.mean[0, across] == 0.0
+    assert np.all(state.hypotheses.covariance[0, across] == 0.0)
+    assert np.all(state.hypotheses.covariance[0, :, across] == 0.0)
 
 
 def test_a_start_needs_walls_and_anchors():
@@ -84,10 +85,10 @@ def test_known_anchors_fix_the_frame():
     """With known anchors nothing turns: theta, the anchors and their frame are certain, walls as sensed."""
     anchors = np.array([[3.0, 4.0], [-5.0, 1.0]])
     state = start(walls_of(), ("a", "b"), 28e9, GaussianConfig(), anchors)
-    layout, mean, covariance = state.layout, state.rows.mean[0], state.rows.covariance[0]
+    layout, mean, covariance = state.layout, state.hypotheses.mean[0], state.hypotheses.covariance[0]
     assert state.bearing_rad == 0.0
-    assert state.rows.located.all()
-    assert covariance[layout.THETA, layout.THETA] == 0.0
+    assert state.hypotheses.located.all()
+    assert covariance[THETA, THETA] == 0.0
     for k in range(2):
         np.testing.assert_array_equal(mean[layout.anchor_xy(k)], anchors[k])
         assert not covariance[layout.anchor_xy(k)].any()

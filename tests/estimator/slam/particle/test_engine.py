@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from estimator.slam.engine import Prior, epoch_rng
-from estimator.slam.motion import process_noise, transition
 
 from estimator.errors import ConfigurationError, FileFormatError, InputError
 from estimator.evaluation.metrics import best_rotation, derotated, match
 from estimator.measurements import AnchorPaths, Epoch, MeasurementSet
 from estimator.slam import GaussianConfig, run_slam
 from estimator.slam.methods import METHODS, PAIRS
+from estimator.slam.models.motion import process_noise, transition
 from estimator.slam.particle.config import ParticleConfig
+from estimator.slam.protocol import Prior, epoch_rng
 from estimator.slam.run import config_for, engine_for
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 

@@ -7,12 +7,12 @@ from itertools import product
 
 import numpy as np
 import pytest
-from estimator.slam.config import GaussianConfig
 
 from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import rotate
 from estimator.measurements import AnchorPaths
 from estimator.slam import run_slam
+from estimator.slam.models.visibility import Visibility
 from estimator.slam.run import config_for
 from estimator.slam.smoothing.association import visibility
 from estimator.slam.smoothing.refine import RefineConfig, refine
@@ -86,7 +86,7 @@ def test_unknown_clock_biases_are_found(room, filtered):
         )
         for epoch in measurements.epochs
     )
-    model = replace(config_for(measurements), clock_bias_std_m=3.0)
+    model = config_for(measurements).but(clock_bias_std_m=3.0)
     smoothed = refine(replace(measurements, epochs=late), result, model)
     plain = refine(measurements, result)
     assert np.sqrt(np.mean(derotated(smoothed, room) ** 2)) < 1.5 * np.sqrt(
@@ -111,7 +111,7 @@ def test_a_flood_is_passed_over(room, filtered):
 
 def test_visibility_is_the_posterior_of_all_histories():
     """Forward-backward against the sum over every sequence of visible and invisible."""
-    model = GaussianConfig(appear_probability=0.2, vanish_probability=0.1)
+    model = Visibility(appear_probability=0.2, vanish_probability=0.1)
     ratio = np.array([0.05, 3.0, 8.0, 0.05, 2.0, 0.4])
     usable = np.array([True, True, True, True, False, True])
     move = np.array([[0.8, 0.2], [0.1, 0.9]])  # from (invisible, visible)

@@ -8,21 +8,22 @@ import numpy as np
 import pytest
 
 from estimator.errors import ConfigurationError, InputError
-from estimator.evaluation.metrics import derotated
 from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
-from estimator.slam.config import GaussianConfig
-from estimator.slam.features import predict_azimuths, predict_paths
-from estimator.slam.layout import Layout
+from estimator.evaluation.metrics import derotated
+from estimator.slam import GaussianConfig
 from estimator.slam.limits.bounds import limit
 from estimator.slam.limits.scenario import Scenario, Sensing
+from estimator.slam.models.directions import predict_azimuths
+from estimator.slam.models.path_lengths import predict_paths
+from estimator.slam.models.state_vector import FIRST_ANCHOR, THETA, Layout
 from estimator.slam.smoothing.factors import PathFactors, Problem, SweepFactor, Trajectory
 from estimator.slam.smoothing.linearise import linearise
 from estimator.slam.smoothing.smoother import smooth, smooth_fixed_lag
 
 SENSED = {0: 0.08, 1: 0.7, 2: 4.0, 3: 0.2}
 STD = 0.1
-MODEL = GaussianConfig(range_std_m=STD, height2_mean_m2=0.0, height2_std_m2=0.0)
+MODEL = GaussianConfig.of(range_std_m=STD, height2_mean_m2=0.0, height2_std_m2=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,7 @@ def truth(scenario: Scenario, problem: Problem) -> Trajectory:
     still = state.copy()
     for pair in (*map(layout.anchor_xy, range(layout.anchors)), *map(layout.wall, range(layout.slots))):
         still[pair] = turn @ state[pair]
-    still[layout.THETA] = np.angle(np.exp(1j * (bearing - problem.bearing_rad)))
+    still[THETA] = np.angle(np.exp(1j * (bearing - problem.bearing_rad)))
     still[layout.wall(0).start + 1] = 0.0
     agent = scenario.states[:, :4].copy()
     agent[:, :2], agent[:, 2:] = agent[:, :2] @ turn.T, agent[:, 2:] @ turn.T
@@ -94,7 +95,7 @@ def measured(
 def disturbed(at: Trajectory, layout: Layout, rng: np.random.Generator) -> Trajectory:
     """A start 0.3 m off in everything that stands still."""
     still = at.still.copy()
-    still[layout.FIRST_ANCHOR :] += 0.3 * rng.normal(size=len(still) - layout.FIRST_ANCHOR)
+    still[FIRST_ANCHOR:] += 0.3 * rng.normal(size=len(still) - FIRST_ANCHOR)
     for k in range(layout.anchors):
         still[[layout.height2(k), layout.bias(k)]] = 0.0
     still[layout.wall(0).start + 1] = 0.0
@@ -103,9 +104,7 @@ def disturbed(at: Trajectory, layout: Layout, rng: np.random.Generator) -> Traje
 
 def test_gradient_is_the_slope_of_the_cost(scenario):
     """Every kind of factor and prior, by central differences of the cost, away from the minimum."""
-    model = replace(
-        MODEL, height2_mean_m2=1.0, height2_std_m2=1.0, clock_bias_std_m=2.0, clock_bias_common=True
-    )
+    model = MODEL.but(height2_mean_m2=1.0, height2_std_m2=1.0, clock_bias_std_m=2.0, clock_bias_common=True)
     rng = np.random.default_rng(1)
     problem = measured(shortened(scenario, 12), rng, model, azimuth_std_rad=0.02, sweep_every=5)
     slots = scenario.layout.slots
@@ -133,9 +132,9 @@ def test_gradient_is_the_slope_of_the_cost(scenario):
         ({}, {}),
         ({"azimuth_std_rad": np.deg2rad(1.0)}, {"azimuth_std_rad": np.deg2rad(1.0)}),
         ({"sweep_every": 10}, {"sweep_every": 10}),
-        ({"model": replace(MODEL, clock_bias_std_m=1e3), "bias_m": 3.0}, {"clock_bias": "each"}),
+        ({"model": MODEL.but(clock_bias_std_m=1e3), "bias_m": 3.0}, {"clock_bias": "each"}),
         (
-            {"model": replace(MODEL, clock_bias_std_m=1e3, clock_bias_common=True), "bias_m": -2.0},
+            {"model": MODEL.but(clock_bias_std_m=1e3, clock_bias_common=True), "bias_m": -2.0},
             {"clock_bias": "common"},
         ),
     ],

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from estimator.slam.features import predict_azimuths, predict_paths, reflect, wall_side
-from estimator.slam.layout import Layout
+import pytest
 
 from estimator.geometry import mirror
+from estimator.slam.models import features
+from estimator.slam.models.directions import predict_azimuths
+from estimator.slam.models.path_lengths import predict_paths
+from estimator.slam.models.state_vector import THETA, Layout
 from estimator.specular import specular_paths
 
 
@@ -21,13 +24,15 @@ def state_of(room, position, height2=0.0):
     return mean, layout
 
 
-def test_reflect_is_the_papers_mirror():
-    """reflect() equals equation (2) with RP at the origin, and is its own inverse."""
+def test_the_compiled_mirror_is_the_papers():
+    """The compiled mirror equals equation (2) with RP at the origin, and is its own inverse."""
     rng = np.random.default_rng(1)
     points, vrps = rng.normal(size=(50, 2)) * 20, rng.normal(size=(50, 2)) * 20
-    assert np.allclose(reflect(points, vrps), mirror(points, vrps), atol=1e-9)
-    assert np.allclose(reflect(reflect(points, vrps), vrps), points, atol=1e-9)
-    assert np.allclose(wall_side(points, vrps), -wall_side(reflect(points, vrps), vrps), atol=1e-9)
+    for point, vrp in zip(points, vrps, strict=True):
+        image = features.mirror(*point, *vrp)
+        assert np.allclose(image, mirror(point, vrp[None])[0], atol=1e-9)
+        assert np.allclose(features.mirror(*image, *vrp), point, atol=1e-9)
+        assert features.side_of_wall(*point, *vrp) == pytest.approx(-features.side_of_wall(*image, *vrp))
 
 
 def test_lengths_are_those_of_the_image_method(room):
@@ -76,7 +81,7 @@ def test_jacobian_matches_central_differences():
 def test_azimuths_point_at_the_sources(room):
     """The azimuth of each visible path is the direction of the anchor's image; theta adds to it."""
     mean, layout = state_of(room, room.track[100])
-    mean[layout.THETA] = 0.02
+    mean[THETA] = 0.02
     azimuth, _ = predict_azimuths(mean[None], layout)
     here = room.track[100]
     for k, anchor in enumerate(room.anchors):
@@ -108,7 +113,7 @@ def test_rotation_is_invisible():
     mean = rng.normal(size=(1, layout.size)) * 15
     mean[:, [layout.height2(k) for k in range(2)]] = 1.0
     prediction = predict_paths(mean, layout)
-    assert np.all(prediction.jacobian[..., layout.THETA] == 0.0)
+    assert np.all(prediction.jacobian[..., THETA] == 0.0)
     angle = 0.7
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     turned = mean.copy()

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimator.slam.floods import MOST_PATHS
 
 from estimator.measurements import AnchorPaths
 from estimator.slam import Prior, epoch_rng
+from estimator.slam.models.clutter_guard import MOST_PATHS
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.run import config_for, engine_for
 from estimator.waveform import SPEED_OF_LIGHT_M_S
