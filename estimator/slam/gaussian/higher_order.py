@@ -108,7 +108,7 @@ def explained_by_others(
         for b in range(walls):
             for c in range(b, walls):
                 # the same walls in any order: a b a (c = b), or three different ones, each set once
-                if a == b or a == c or (c > b and a > b):
+                if a in (b, c) or (c > b and a > b):
                     continue
                 some[0], some[1], some[2] = a, b, c
                 every = True

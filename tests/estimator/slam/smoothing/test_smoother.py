@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from estimator.errors import ConfigurationError, InputError
+from estimator.evaluation.metrics import derotated
 from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
-from estimator.evaluation.metrics import derotated
 from estimator.slam import GaussianConfig
 from estimator.slam.limits.bounds import limit
 from estimator.slam.limits.scenario import Scenario, Sensing
