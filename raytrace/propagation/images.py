@@ -22,7 +22,7 @@ from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.directions import angles_of
 from raytrace.propagation.fields import specular_amplitude, specular_transfer
 from raytrace.propagation.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathList, PathSet
-from raytrace.propagation.reflectors import RIM_M, TIP, Surfaces, blocked, mirrored, surfaces_of
+from raytrace.propagation.reflectors import RIM_M, TIP, Surfaces, blocked, mirrored, on_rectangle, surfaces_of
 
 __all__ = ["image_paths"]
 
@@ -119,9 +119,11 @@ def _visible(
     ]
     row, epoch, vertices = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     clear = np.all(np.linalg.norm(np.diff(vertices, axis=1), axis=-1) >= leg_m, axis=1)
+    met = np.pad(sequences[row], ((0, 0), (1, 1)), constant_values=-1)
+    ends = np.stack([met[:, :-1], met[:, 1:]], axis=2)
     for leg in range(vertices.shape[1] - 1):  # what the first leg ends is not asked for the next
         left = np.flatnonzero(clear)
-        clear[left] = ~blocked(surfaces, vertices[left, leg], vertices[left, leg + 1], rim_m)
+        clear[left] = ~blocked(surfaces, vertices[left, leg], vertices[left, leg + 1], rim_m, ends[left, leg])
     return epoch[clear], sequences[row[clear]], vertices[clear]
 
 
@@ -253,7 +255,7 @@ def _unfold(
             fraction = gap / slope
             margin = -rim_m * np.linalg.norm(towards, axis=-1) / np.abs(slope)
         point = vertices[0] + np.where(np.isfinite(fraction), fraction, 0.0)[:, None] * towards
-        on = (fraction > TIP) & (fraction < 1.0 - TIP) & _on_rectangle(surfaces, wall, point, margin)
+        on = (fraction > TIP) & (fraction < 1.0 - TIP) & on_rectangle(surfaces, wall, point, margin)
         epoch, row = epoch[on], row[on]
         vertices = [point[on], *(vertex[on] for vertex in vertices)]
     return epoch, row, np.stack([images[row, 0], *vertices], axis=1)
@@ -278,8 +280,8 @@ def _near_last(
 
     here, there = coordinates(surfaces.normal[last])
     near = (here > 0.0) != (there > 0.0)
+    fraction = np.divide(here, here - there, out=np.zeros_like(here), where=near)
     with np.errstate(divide="ignore", invalid="ignore"):
-        fraction = here / (here - there)
         if rim_m >= 0.0:
             margin: float | Array = _SLACK_M
         else:
@@ -291,14 +293,3 @@ def _near_last(
         near &= (along >= -margin) & (along <= surfaces.lengths[last, side] + margin)
     epoch, row = np.nonzero(near)
     return epoch, row
-
-
-def _on_rectangle(
-    surfaces: Surfaces, index: NDArray[np.int64], points: Array, margin_m: Array
-) -> NDArray[np.bool_]:
-    """Whether points in the planes of surfaces ``index`` lie on the rectangles, grown by a margin."""
-    offset = points - surfaces.origin[index]
-    along = np.einsum("nd,nsd->ns", offset, surfaces.sides[index])
-    margin_m = margin_m[:, None]
-    within = (along >= -margin_m) & (along <= surfaces.lengths[index] + margin_m)
-    return np.asarray(within.all(axis=-1))

@@ -251,3 +251,62 @@ def test_paths_at_a_corner_are_told_apart_by_the_rim() -> None:
     walls = [{tuple(row) for row in paths.walls.tolist()} for paths in (strict, usual, lenient)]
     assert walls[0] == walls[1]
     assert walls[2] - walls[1] == {(5, 2)}
+
+
+def jointed(*extra: tuple[list[float], list[float]]) -> FloorPlan:
+    """A room of 10 m x 8 m with walls more in it."""
+    corners = [[0.0, 0.0], [10.0, 0.0], [10.0, 8.0], [0.0, 8.0]]
+    ends = [*zip(corners, corners[1:] + corners[:1], strict=True), *extra]
+    return parse_floorplan(
+        {
+            "format": "hapslam-floorplan",
+            "version": 1,
+            "name": "jointed",
+            "walls": [{"name": f"w{i}", "from_m": a, "to_m": b} for i, (a, b) in enumerate(ends)],
+            "anchors": [{"name": "pa", "position_m": [3.0, 5.0, 2.0]}],
+            "agent": {"waypoints_m": [[2.0, 2.0], [4.5, 2.0]], "smoothing_m": 0.0, "epochs": 2},
+        }
+    )
+
+
+def orders(plan: FloorPlan, agent: tuple[float, float], anchor: tuple[float, float], rim_m: float) -> set:
+    """Surfaces of the paths of one bounce at most, at the height of 1.5 m."""
+    paths = image_paths(plan, np.array([[*agent, 1.5]]), 1, np.array([[*anchor, 1.5]]), rim_m=rim_m)
+    return {int(wall) for wall in paths.walls[0, 0, paths.valid[0, 0], 0]}
+
+
+@pytest.mark.parametrize("rim_m", [1e-6, 1e-3])
+def test_a_bounce_at_the_foot_of_a_wall_is_the_rims(rim_m: float) -> None:
+    """A wall that ends on another hides what bounces at its foot, and nothing a centimetre beside it.
+
+    With a negative rim the path is there: the tracer may find it, and is not wrong.
+    """
+    plan = jointed(([5.0, 0.0], [5.0, 1.0]))
+    assert 0 not in orders(plan, (2.0, 2.0), (8.0, 2.0), rim_m)
+    assert 0 in orders(plan, (2.0, 2.0), (8.0, 2.0), -rim_m)
+    beside = jointed(([5.0 + 0.02, 0.0], [5.0 + 0.02, 0.005]))
+    assert 0 in orders(beside, (2.0, 2.0), (8.0, 2.0), rim_m)
+
+
+@pytest.mark.parametrize("rim_m", [1e-6, 1e-3])
+def test_a_line_of_sight_within_a_wall_is_the_rims(rim_m: float) -> None:
+    """A line of sight along a wall, or through its end, is not expected; beside it, it is."""
+    plan = jointed(([5.0, 3.0], [5.0, 6.0]))
+    for agent, anchor, seen in (
+        ((5.0, 2.0), (5.0, 7.0), False),  # along the wall
+        ((5.0, 1.0), (5.0, 2.5), True),  # in its plane, before it
+        ((2.0, 3.0), (8.0, 3.0), False),  # through its end
+        ((2.0, 2.99), (8.0, 2.99), True),
+    ):
+        assert (-1 in orders(plan, agent, anchor, rim_m)) is seen
+    assert -1 in orders(plan, (5.0, 2.0), (5.0, 7.0), -rim_m)
+
+
+def test_nothing_warns_in_the_plane_of_a_wall() -> None:
+    """Anchors and agents in the planes of walls give numbers and no warning, whatever the rim."""
+    plan = jointed(([5.0, 3.0], [5.0, 6.0]), ([5.0, 0.0], [5.0, 1.0]))
+    places = np.array([[5.0, 2.0, 1.5], [5.0, 7.0, 1.5], [2.0, 2.0, 1.5]])
+    for rim_m in (1e-6, 0.0, 1e-3, -1e-3):
+        paths = image_paths(plan, places, 2, places[::-1] + [0.0, 0.0, 0.3], rim_m=rim_m)
+        assert np.isfinite(paths.delay_s[paths.valid]).all()
+        assert paths.valid.any(axis=2).all(where=np.eye(3)[::-1] == 0)
