@@ -107,17 +107,24 @@ def show(
     ),
 )
 def random_(
-    kind: Annotated[str, typer.Option(help="rectangle, l-shape, corridor, office or hall.")],
+    kind: Annotated[
+        str,
+        typer.Option(help="rectangle, l-shape, corridor, office, hall, suite, ring, bent, aisles or shops."),
+    ],
     out: Plan,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 1,
+    corner: Annotated[
+        bool, typer.Option("--corner", help="Start at an end of the space, not in the open.")
+    ] = False,
 ) -> None:
     """Make a random floor plan with anchors and a walk."""
     import numpy as np
 
     from raytrace.plan.files import save_floorplan, updated
-    from raytrace.plan.random_plans import random_plan
+    from raytrace.plan.random_plans import Start, random_plan
 
-    plan = random_plan(kind, np.random.default_rng(seed))  # type: ignore[arg-type]  # it checks
+    start: Start = "end" if corner else "open"
+    plan = random_plan(kind, np.random.default_rng(seed), start=start)  # type: ignore[arg-type]  # it checks
     save_floorplan(updated(plan, {"name": out.stem[:100]}), out)
     _say(f"{out}: {len(plan.walls)} walls, {len(plan.anchors)} anchors, {plan.agent.epochs} epochs")
 

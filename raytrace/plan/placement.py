@@ -64,6 +64,7 @@ def plan_walk(
     most_epochs: int = 236,
     step_m: float = 0.5,
     free: shapely.Geometry | None = None,
+    start_at_m: tuple[float, float] | None = None,
 ) -> Walk:
     """A walk through a connected free space.
 
@@ -79,6 +80,8 @@ def plan_walk(
         Step of a long walk, metres; a short one is divided into sixty steps.
     free : shapely.Polygon, optional
         Where to walk; by default the plan's main space (:func:`raytrace.plan.space.main_space`).
+    start_at_m : tuple of float, optional
+        Where to start, metres, or as near as the walk can; by default at one end of the space.
 
     Raises
     ------
@@ -89,7 +92,8 @@ def plan_walk(
     nodes, graph = _lattice(free)
     if len(nodes) < 3:
         raise InputError(f"walls: expected space to walk in, got {shapely.area(free):.3g} m2 off the walls")
-    legs = [_taut(nodes[leg], free) for leg in _explore(graph, 1.1 * most_epochs * step_m)]
+    at = None if start_at_m is None else int(np.argmin(np.linalg.norm(nodes - start_at_m, axis=1)))
+    legs = [_taut(nodes[leg], free) for leg in _explore(graph, 1.1 * most_epochs * step_m, at)]
     waypoints = np.round(np.vstack([legs[0][:1], *(leg[1:] for leg in legs)]), 3)
     length = float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
     step = step_m if length > 60 * step_m else round(length / 60, 4)
@@ -227,10 +231,14 @@ def _through_doors(
     return np.vstack([nodes, places]), found[found[:, 0] != found[:, 1]]
 
 
-def _explore(graph: csr_array, most_m: float) -> list[list[int]]:
-    """Routes from stop to stop, each to the node that is farthest from all routes before."""
-    from_any = dijkstra(graph, indices=[0])[0]
-    at = int(np.argmax(np.where(np.isfinite(from_any), from_any, -1.0)))
+def _explore(graph: csr_array, most_m: float, at: int | None = None) -> list[list[int]]:
+    """Routes from stop to stop, each to the node that is farthest from all routes before.
+
+    The first begins at node ``at``, by default at one end.
+    """
+    if at is None:
+        from_any = dijkstra(graph, indices=[0])[0]
+        at = int(np.argmax(np.where(np.isfinite(from_any), from_any, -1.0)))
     passed, length = [at], 0.0
     legs: list[list[int]] = []
     while length < most_m:

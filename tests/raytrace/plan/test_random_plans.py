@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapely
 
 from estimator.errors import ConfigurationError
 from raytrace.plan.files import updated
 from raytrace.plan.placement import place_anchors, plan_walk
-from raytrace.plan.random_plans import KINDS, Kind, random_plan
+from raytrace.plan.random_plans import KINDS, Kind, Start, random_plan
 from raytrace.plan.trajectory import smoothed_track
 from raytrace.propagation.comparison import compare
 from raytrace.propagation.passive import trace_passive
@@ -46,6 +47,38 @@ def test_kinds_have_what_they_promise() -> None:
     hall = [wall.name for wall in random_plan("hall", rng).walls if wall.name.startswith("column")]
     assert len(hall) >= 8
     assert len(hall) % 4 == 0
+    racks = [wall for wall in random_plan("aisles", rng).walls if wall.name.startswith("rack")]
+    assert len(racks) >= 8
+    assert {wall.material for wall in racks} == {"metal"}
+    assert max(wall.height_m for wall in racks) <= 2.5
+    assert any(wall.name.startswith("core") for wall in random_plan("ring", rng).walls)
+    assert any(wall.material == "glass" for wall in random_plan("shops", rng).walls)
+    ends = np.array([(wall.from_m, wall.to_m) for wall in random_plan("bent", rng).walls])
+    along = np.diff(ends, axis=1)[:, 0]
+    bearing = np.degrees(np.arctan2(along[:, 1], along[:, 0]))
+    assert np.abs((bearing - bearing[0] + 45.0) % 90.0 - 45.0).max() > 3.0  # no right angles alone
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_walks_start_in_the_open_unless_asked(kind: Kind) -> None:
+    """A start is farther from the nearest wall than one at an end, which is in a corner as a rule."""
+
+    def gap_m(start: Start) -> float:
+        plan = random_plan(kind, np.random.default_rng(5), start=start)
+        walls = shapely.linestrings(np.stack(plan.walls_m(), axis=1))
+        return float(shapely.distance(shapely.Point(plan.track()[0, :2]), walls).min())
+
+    assert gap_m("open") > max(0.55, gap_m("end"))
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_hundred_plans_of_a_kind(kind: Kind) -> None:
+    """Of two hundred seeds each gives a valid plan without a warning, with a walk of fifty steps at least."""
+    for seed in range(200):
+        plan = random_plan(kind, np.random.default_rng([3, seed]))
+        assert floorplan_summary(plan)["warnings"] == [], seed
+        assert plan.agent.epochs >= 50, seed
 
 
 @pytest.mark.parametrize("kind", KINDS)
