@@ -3,30 +3,84 @@
 Lengths are predicted along a trajectory; a two-state chain along the epochs tells from the hits and
 misses of each feature when it could be heard (:func:`visibility`); belief propagation shares out the
 paths of each epoch (:mod:`estimator.slam.association`), and those beyond doubt become factors of the
-smoother (:func:`path_factors`).
+smoother (:func:`path_factors`). Time goes with epochs, anchors and the pairs of a feature and a path;
+memory with epochs, anchors and features.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimator.slam.association.belief_propagation import associate_all
+from estimator.compiled import compiled
+from estimator.slam.association.belief_propagation import associate
 from estimator.slam.models.epoch_paths import EpochPaths
 from estimator.slam.models.path_lengths import predict_paths
 from estimator.slam.models.visibility import Visibility
 from estimator.slam.smoothing.factors import PathFactors, Problem, Trajectory
 
-__all__ = ["path_factors", "stacked_lengths", "visibility"]
+__all__ = ["RunPaths", "path_factors", "stacked_paths", "visibility"]
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+_ROUNDS = 2  # without competition first, then with what belief propagation leaves of it
+_SURE = 0.999  # the greatest chance of a detection: ratios stay finite
+
+
+class RunPaths(NamedTuple):
+    """The paths of all epochs, K anchors with up to M paths; compiled functions take it as it is.
+
+    Parameters
+    ----------
+    number : ndarray of int64, shape (T, K)
+        Paths of each anchor.
+    length_m, std_m, azimuth_rad, azimuth_std_rad : ndarray, shape (T, K, M)
+        As in :class:`estimator.slam.models.epoch_paths.EpochPaths`; directions of an epoch whose heading
+        was not held are left out.
+    """
+
+    number: Index
+    length_m: Array
+    std_m: Array
+    azimuth_rad: Array
+    azimuth_std_rad: Array
+
+    @property
+    def valid(self) -> Mask:
+        """Which entries (T, K, M) are measurements."""
+        return np.asarray(np.arange(self.length_m.shape[2]) < self.number[..., None])
+
+
+class _Model(NamedTuple):
+    """What pairs of a feature and a path are judged by."""
+
+    gate_sigma: float
+    clutter_density: float
+    range_std_m: float
+
+
+def stacked_paths(tables: Sequence[EpochPaths]) -> RunPaths:
+    """The paths of all epochs in one table."""
+    shape = (len(tables), len(tables[0].number), max(table.length_m.shape[1] for table in tables))
+    length, std = np.zeros(shape), np.ones(shape)
+    azimuth, azimuth_std = np.zeros(shape), np.full(shape, np.inf)
+    for t, table in enumerate(tables):
+        count = table.length_m.shape[1]
+        length[t, :, :count], std[t, :, :count] = table.length_m, table.std_m
+        if table.heading_held:
+            azimuth[t, :, :count], azimuth_std[t, :, :count] = table.azimuth_rad, table.azimuth_std_rad
+    return RunPaths(np.array([table.number for table in tables]), length, std, azimuth, azimuth_std)
 
 
 def path_factors(
     problem: Problem,
     at: Trajectory,
-    tables: list[EpochPaths],
-    located: NDArray[np.bool_],
+    paths: RunPaths,
+    located: Mask,
     spread_m2: ArrayLike,
     least_probability: float = 0.5,
 ) -> PathFactors:
@@ -38,14 +92,14 @@ def path_factors(
         Layout and models; its factors are not used.
     at : Trajectory
         Where everything is.
-    tables : list of EpochPaths, length T
+    paths : RunPaths
         The paths.
     located : ndarray of bool, shape (K,)
         Anchors that ``at`` knows.
     spread_m2 : array_like, broadcasts to (T, K, F)
         Variances of the predicted lengths, square metres.
     least_probability : float
-        Paths that belong to a feature with at least this probability become factors.
+        A path becomes a factor of its likeliest feature if it belongs to it with at least this probability.
 
     Returns
     -------
@@ -53,34 +107,90 @@ def path_factors(
     """
     noise, gating, layout = problem.config.noise, problem.config.gating, problem.layout
     prediction = predict_paths(at.states(), layout)
-    spread = np.broadcast_to(np.asarray(spread_m2, dtype=np.float64), prediction.length_m.shape)
-    length, std, valid = stacked_lengths(tables)
-    std = np.maximum(std, noise.range_std_m)
-    s = spread[..., None] + std[:, :, None, :] ** 2  # (T, K, F, M)
-    gap = length[:, :, None, :] - prediction.length_m[..., None]
-    density = np.exp(-0.5 * gap**2 / s) / np.sqrt(2.0 * np.pi * s)
+    spread = np.ascontiguousarray(np.broadcast_to(np.asarray(spread_m2, float), prediction.length_m.shape))
     usable = prediction.possible & located[:, None]
     usable[..., 1 + layout.slots :] &= spread[..., 1 + layout.slots :] < gating.pair_std_m**2
-    gated = valid[:, :, None, :] & usable[..., None] & (gap**2 < gating.gate_sigma**2 * s)
-    relative = np.where(gated, density / noise.clutter_density, 0.0)
+    model = _Model(gating.gate_sigma, noise.clutter_density, noise.range_std_m)
     pd = noise.detection_probability
-    # first without competition, then with what belief propagation leaves of it
-    heard = relative
-    for _ in range(2):
-        seen = visibility(1.0 - pd + pd * heard.sum(axis=-1), usable, problem.config.visibility)
-        chance = np.minimum(pd * seen, 0.999)[..., None]
-        ratio = chance / (1.0 - chance) * relative
-        probability, message, _ = associate_all(ratio.reshape(-1, *ratio.shape[2:]))
-        heard = relative * message.reshape(ratio.shape)
-    epoch, anchor, feature, path = np.nonzero(probability.reshape(ratio.shape) > least_probability)
-    azimuth, azimuth_std = _padded_azimuths(tables, length.shape)
-    pick = (epoch, anchor, path)
-    if not np.any(np.isfinite(azimuth_std)):
-        return PathFactors(epoch, anchor, feature, length[pick], std[pick])
-    return PathFactors(epoch, anchor, feature, length[pick], std[pick], azimuth[pick], azimuth_std[pick])
+    heard, feature = _share(paths, prediction.length_m, spread, usable, np.zeros(usable.shape), model, 1.0)
+    for _ in range(_ROUNDS):
+        seen = visibility(1.0 - pd + pd * heard, usable, problem.config.visibility)
+        chance = np.minimum(pd * seen, _SURE)
+        odds = chance / (1.0 - chance)
+        heard, feature = _share(paths, prediction.length_m, spread, usable, odds, model, least_probability)
+    pick = np.nonzero(feature >= 0)
+    epoch, anchor, _ = pick
+    std = np.maximum(paths.std_m[pick], noise.range_std_m)
+    return PathFactors(
+        epoch,
+        anchor,
+        feature[pick],
+        paths.length_m[pick],
+        std,
+        paths.azimuth_rad[pick],
+        paths.azimuth_std_rad[pick],
+    )
 
 
-def visibility(ratio: Array, usable: NDArray[np.bool_], model: Visibility) -> Array:
+@compiled
+def _share(
+    paths: RunPaths, predicted: Array, spread: Array, usable: Mask, odds: Array, model: _Model, least: float
+) -> tuple[Array, Index]:
+    """Share out the paths of every epoch and anchor among the features.
+
+    Parameters
+    ----------
+    paths : RunPaths
+        The paths.
+    predicted, spread : ndarray, shape (T, K, F)
+        Lengths that features give, and their variances.
+    usable : ndarray of bool, shape (T, K, F)
+        Features that may give any.
+    odds : ndarray, shape (T, K, F)
+        Chance that a feature is detected over that it is not; zeros leave out the competition.
+    model : _Model
+        Gate and noise.
+    least : float
+        Least probability of an association.
+
+    Returns
+    -------
+    heard : ndarray, shape (T, K, F)
+        Likelihood of a feature's paths over that of clutter, summed, each by how far it is uncontested.
+    feature : ndarray of int64, shape (T, K, M)
+        The likeliest feature of each path, -1 where it is less likely than ``least``.
+    """
+    epochs, anchors, features = predicted.shape
+    heard, feature = np.zeros(predicted.shape), np.full(paths.length_m.shape, -1)
+    for t in range(epochs):
+        for k in range(anchors):
+            count = paths.number[t, k]
+            relative = np.zeros((features, count))
+            ratio = np.zeros((features, count))
+            for f in range(features):
+                if not usable[t, k, f]:
+                    continue
+                for j in range(count):
+                    s = spread[t, k, f] + max(paths.std_m[t, k, j], model.range_std_m) ** 2
+                    gap = paths.length_m[t, k, j] - predicted[t, k, f]
+                    if gap * gap < model.gate_sigma**2 * s:
+                        density = np.exp(-0.5 * gap * gap / s) / np.sqrt(2.0 * np.pi * s)
+                        relative[f, j] = density / model.clutter_density
+                        ratio[f, j] = odds[t, k, f] * relative[f, j]
+            probability, message = np.empty((features, count)), np.empty((features, count))
+            associate(ratio, probability, message)
+            for f in range(features):
+                for j in range(count):
+                    heard[t, k, f] += relative[f, j] * message[f, j]
+            for j in range(count):
+                best = least
+                for f in range(features):
+                    if probability[f, j] > best:
+                        best, feature[t, k, j] = probability[f, j], f
+    return heard, feature
+
+
+def visibility(ratio: Array, usable: Mask, model: Visibility) -> Array:
     """Probability, given the whole run, that features could be heard.
 
     Forward-backward algorithm of a chain with the states visible and invisible.
@@ -98,48 +208,35 @@ def visibility(ratio: Array, usable: NDArray[np.bool_], model: Visibility) -> Ar
     -------
     ndarray, shape (T, ...)
     """
-    stay, appear = 1.0 - model.vanish_probability, model.appear_probability
-    forward = np.empty_like(ratio)
-    chance = np.full(ratio.shape[1:], 0.5)
-    for t in range(len(ratio)):
-        chance = np.where(usable[t], chance, 0.0)
-        odds = chance * ratio[t]
-        forward[t] = odds / (odds + 1.0 - chance)
-        chance = stay * forward[t] + appear * (1.0 - forward[t])
-    result = np.empty_like(ratio)
-    back = np.ones((2, *ratio.shape[1:]))  # likelihood of the future if visible, if not
-    for t in range(len(ratio) - 1, -1, -1):
-        visible, invisible = forward[t] * back[0], (1.0 - forward[t]) * back[1]
-        result[t] = visible / (visible + invisible)
-        seen, unseen = back[0] * ratio[t], back[1]
-        ahead = np.stack([stay * seen + (1.0 - stay) * unseen, appear * seen + (1.0 - appear) * unseen])
-        back = np.where(usable[t], ahead, unseen)
-        back /= back.sum(axis=0)
+    flat = len(ratio), -1
+    seen = _visibility(
+        ratio.reshape(flat), usable.reshape(flat), model.appear_probability, model.vanish_probability
+    )
+    return seen.reshape(ratio.shape)
+
+
+@compiled
+def _visibility(ratio: Array, usable: Mask, appear: float, vanish: float) -> Array:
+    """:func:`visibility` of F features (T, F)."""
+    epochs, features = ratio.shape
+    result, stay = np.empty(ratio.shape), 1.0 - vanish
+    chance = np.full(features, 0.5)
+    for t in range(epochs):  # forward; the result holds the filter's probabilities
+        for f in range(features):
+            if not usable[t, f]:
+                chance[f] = 0.0
+            odds = chance[f] * ratio[t, f]
+            result[t, f] = odds / (odds + 1.0 - chance[f])
+            chance[f] = stay * result[t, f] + appear * (1.0 - result[t, f])
+    visible, invisible = np.ones(features), np.ones(features)  # likelihoods of the future
+    for t in range(epochs - 1, -1, -1):
+        for f in range(features):
+            one, other = result[t, f] * visible[f], (1.0 - result[t, f]) * invisible[f]
+            result[t, f] = one / (one + other)
+            seen, unseen = visible[f] * ratio[t, f], invisible[f]
+            one = other = unseen
+            if usable[t, f]:
+                one = stay * seen + vanish * unseen
+                other = appear * seen + (1.0 - appear) * unseen
+            visible[f], invisible[f] = one / (one + other), other / (one + other)
     return result
-
-
-def stacked_lengths(tables: list[EpochPaths]) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Lengths, standard deviations and validity of all epochs' paths, (T, K, M)."""
-    shape = (len(tables), len(tables[0].length_m), max(table.length_m.shape[1] for table in tables))
-    length, std, valid = np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=bool)
-    for t, table in enumerate(tables):
-        count = table.length_m.shape[1]
-        length[t, :, :count], std[t, :, :count], valid[t, :, :count] = (
-            table.length_m,
-            table.std_m,
-            table.valid,
-        )
-    return length, std, valid
-
-
-def _padded_azimuths(tables: list[EpochPaths], shape: tuple[int, ...]) -> tuple[Array, Array]:
-    """Directions and their standard deviations (T, K, M), infinite where there is none.
-
-    Directions of an epoch whose heading was not held are left out.
-    """
-    azimuth, std = np.zeros(shape), np.full(shape, np.inf)
-    for t, table in enumerate(tables):
-        if table.heading_held:
-            count = table.azimuth_rad.shape[1]
-            azimuth[t, :, :count], std[t, :, :count] = table.azimuth_rad, table.azimuth_std_rad
-    return azimuth, std

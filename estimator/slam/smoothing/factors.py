@@ -8,7 +8,7 @@ everything is: the agent at every epoch, and what stands still, as a state vecto
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Protocol
 
 import numpy as np
@@ -22,7 +22,7 @@ from estimator.slam.models.noise import MeasurementNoise
 from estimator.slam.models.state_vector import AGENT, THETA, Layout
 from estimator.slam.models.visibility import Visibility
 
-__all__ = ["Models", "PathFactors", "Problem", "SweepFactor", "Trajectory"]
+__all__ = ["Models", "PathFactors", "Problem", "SweepFactor", "Trajectory", "column_of"]
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,9 @@ class PathFactors:
         Path lengths and standard deviations, metres.
     azimuth_rad, azimuth_std_rad : ndarray, shape (N,), optional
         Directions of arrival in the estimator's frame; an infinite standard deviation where
-        there is none.
+        there is none, as by default everywhere.
+
+    The factors are kept in the order of their epochs.
     """
 
     epoch: NDArray[np.int64]
@@ -49,32 +51,32 @@ class PathFactors:
     feature: NDArray[np.int64]
     length_m: Array
     std_m: Array
-    azimuth_rad: Array | None = None
-    azimuth_std_rad: Array | None = None
+    azimuth_rad: Array = None  # type: ignore[assignment]  # by default: none are measured
+    azimuth_std_rad: Array = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         shape = np.shape(self.epoch)
-        for name in ("epoch", "anchor", "feature", "length_m", "std_m"):
+        if self.azimuth_rad is None or self.azimuth_std_rad is None:
+            object.__setattr__(self, "azimuth_rad", np.zeros(shape))
+            object.__setattr__(self, "azimuth_std_rad", np.full(shape, np.inf))
+        for name in (entry.name for entry in fields(self)):
             if np.shape(getattr(self, name)) != shape or len(shape) != 1:
                 got = np.shape(getattr(self, name))
                 raise InputError(f"PathFactors.{name}: expected shape (N,) like epoch {shape}, got {got}")
         if not np.all(self.std_m > 0.0) or not np.all(np.isfinite(self.length_m)):
             raise InputError("PathFactors: expected finite lengths and positive standard deviations")
+        order = np.argsort(self.epoch, kind="stable")
+        for entry in fields(self):
+            dtype = np.int64 if entry.name in ("epoch", "anchor", "feature") else np.float64
+            object.__setattr__(
+                self, entry.name, np.ascontiguousarray(getattr(self, entry.name)[order], dtype=dtype)
+            )
 
     def within(self, first: int, last: int) -> PathFactors:
         """The factors of epochs ``first .. last``, both included, counted from ``first``."""
-        keep = (self.epoch >= first) & (self.epoch <= last)
-        angles = (
-            None if value is None else value[keep] for value in (self.azimuth_rad, self.azimuth_std_rad)
-        )
-        return PathFactors(
-            self.epoch[keep] - first,
-            self.anchor[keep],
-            self.feature[keep],
-            self.length_m[keep],
-            self.std_m[keep],
-            *angles,
-        )
+        begin, end = np.searchsorted(self.epoch, [first, last + 1])
+        parts = {entry.name: getattr(self, entry.name)[begin:end] for entry in fields(self)}
+        return PathFactors(**{**parts, "epoch": parts["epoch"] - first})
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +189,11 @@ class Problem:
             shared = columns.index(layout.bias(0))
             basis[[layout.bias(k) for k in range(layout.anchors)], shared] = 1.0
         return basis, np.array(information)
+
+
+def column_of(basis: Array) -> NDArray[np.int64]:
+    """Column of a basis (n, q) that moves each element of the state vector, (n,); -1 where none does."""
+    return np.where(np.any(basis != 0.0, axis=1), np.argmax(basis, axis=1), -1)
 
 
 @dataclass(frozen=True, eq=False)

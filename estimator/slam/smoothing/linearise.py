@@ -8,19 +8,19 @@ The border's coordinates ``y`` leave out what is known: the state vector is ``ba
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.geometry import rotate_by_angle_of, rotation_matrix
-from estimator.slam.models.directions import predict_azimuths
 from estimator.slam.models.motion import process_noise, transition
-from estimator.slam.models.path_lengths import predict_paths
 from estimator.slam.models.state_vector import AGENT, THETA
 from estimator.slam.models.sweeps import predict_flashes
 from estimator.slam.smoothing.arrowhead import Arrowhead
-from estimator.slam.smoothing.factors import Problem, Trajectory
+from estimator.slam.smoothing.factors import Problem, Trajectory, column_of
+from estimator.slam.smoothing.measured_paths import add_paths
 
 __all__ = ["Linear", "Past", "linearise"]
 
@@ -92,14 +92,33 @@ def linearise(problem: Problem, at: Trajectory, past: Past | None = None) -> Lin
     right, below = np.zeros((epochs, _AGENT)), np.zeros(size)
     cost = 0.0
 
-    rows, epoch, residual = _measured(problem, at)
-    moving, standing = rows[:, AGENT], rows @ basis
-    np.add.at(chain, epoch, moving[:, :, None] * moving[:, None, :])
-    np.add.at(border, epoch, moving[:, :, None] * standing[:, None, :])
-    np.add.at(right, epoch, moving * residual[:, None])
-    corner += standing.T @ standing
-    below += standing.T @ residual
-    cost += float(residual @ residual)
+    paths = problem.paths
+    cost += add_paths(
+        problem.layout,
+        at.agent,
+        at.still,
+        column_of(basis),
+        paths.epoch,
+        paths.anchor,
+        paths.feature,
+        paths.length_m,
+        paths.std_m,
+        paths.azimuth_rad - problem.bearing_rad,
+        paths.azimuth_std_rad,
+        chain,
+        border,
+        corner,
+        right,
+        below,
+    )
+    for t, rows, residual in _flashes(problem, at):
+        moving, standing = rows[:, AGENT], rows @ basis
+        chain[t] += moving.T @ moving
+        border[t] += moving.T @ standing
+        corner += standing.T @ standing
+        right[t] += moving.T @ residual
+        below += standing.T @ residual
+        cost += float(residual @ residual)
 
     for step in np.unique(np.diff(problem.time_s)):
         before = np.flatnonzero(np.diff(problem.time_s) == step)
@@ -150,30 +169,16 @@ def _from_prior(problem: Problem, still: Array, basis: Array) -> Array:
     return np.asarray(basis.T @ away / np.sum(basis**2, axis=0))
 
 
-def _measured(problem: Problem, at: Trajectory) -> tuple[Array, NDArray[np.int64], Array]:
-    """Whitened derivatives (m, n), epochs (m,) and residuals (m,) of paths and sweeps."""
-    layout, paths = problem.layout, problem.paths
-    states = at.states()
-    pick = (paths.epoch, paths.anchor, paths.feature)
-    lengths = predict_paths(states, layout)
-    weight = 1.0 / paths.std_m
-    rows = [lengths.jacobian[pick] * weight[:, None]]
-    residuals, epochs = [(paths.length_m - lengths.length_m[pick]) * weight], [paths.epoch]
-    if paths.azimuth_rad is not None and paths.azimuth_std_rad is not None:
-        azimuth, jacobian = predict_azimuths(states, layout)
-        weight = 1.0 / paths.azimuth_std_rad
-        gap = np.angle(np.exp(1j * (paths.azimuth_rad - problem.bearing_rad - azimuth[pick])))
-        rows.append(jacobian[pick] * weight[:, None])
-        residuals.append(gap * weight)
-        epochs.append(paths.epoch)
+def _flashes(problem: Problem, at: Trajectory) -> Iterator[tuple[int, Array, Array]]:
+    """Epochs, whitened derivatives (2, n) and residuals (2,) of the walls that sweeps saw."""
     turn = rotation_matrix(-problem.bearing_rad)
     for sweep in problem.sweeps:
-        flash, jacobian = predict_flashes(states[sweep.epoch], layout)
+        state = at.still.copy()
+        state[AGENT] = at.agent[sweep.epoch]
+        flash, jacobian = predict_flashes(state, problem.layout)
         whiten = np.linalg.inv(np.linalg.cholesky(turn @ sweep.flash.covariance_m2 @ turn.T))
-        rows.append(whiten @ jacobian[sweep.slot])
-        residuals.append(whiten @ (turn @ sweep.flash.mean_m - flash[sweep.slot]))
-        epochs.append(np.full(2, sweep.epoch))
-    return np.concatenate(rows), np.concatenate(epochs), np.concatenate(residuals)
+        gap = turn @ sweep.flash.mean_m - flash[sweep.slot]
+        yield sweep.epoch, whiten @ jacobian[sweep.slot], whiten @ gap
 
 
 def _sensed(problem: Problem, still: Array) -> tuple[Array, Array]:

@@ -12,20 +12,28 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp, MeasurementSet
 from estimator.result import SlamResult
 from estimator.slam.models.clutter_guard import guard_clutter
-from estimator.slam.models.epoch_paths import EpochPaths, stack_paths
+from estimator.slam.models.epoch_paths import stack_paths
 from estimator.slam.models.path_lengths import predict_paths
-from estimator.slam.models.state_vector import AGENT, NOWHERE_M, THETA, Layout
+from estimator.slam.models.state_vector import NOWHERE_M, THETA, Layout
 from estimator.slam.models.sweeps import predict_flashes
 from estimator.slam.run import config_for
-from estimator.slam.smoothing.association import path_factors, stacked_lengths
-from estimator.slam.smoothing.factors import Models, PathFactors, Problem, SweepFactor, Trajectory
+from estimator.slam.smoothing.association import RunPaths, path_factors, stacked_paths
+from estimator.slam.smoothing.factors import (
+    Models,
+    PathFactors,
+    Problem,
+    SweepFactor,
+    Trajectory,
+    column_of,
+)
+from estimator.slam.smoothing.measured_paths import length_variances
 from estimator.slam.smoothing.smoother import Smoothed, smooth, smooth_fixed_lag
 
 __all__ = ["RefineConfig", "refine"]
@@ -48,20 +56,31 @@ class RefineConfig:
         Paths that belong to a feature with at least this probability become factors.
     lag : int
         Lag of the smoother, epochs; 0 for the whole run.
+    wall_gate_sigma : float
+        A wall of the result is one sensed at the start if it is within so many standard deviations; more
+        than the filter's gate, for it has moved since.
+    bias_bin_m : float
+        Clock biases are first looked for in bins of this width: a few errors of a path length.
+    bias_reach_sigma : float
+        And within so many standard deviations of their prior.
     """
 
     rounds: int = 2
     first_spread_m: float = 0.3
     least_probability: float = 0.5
     lag: int = 0
+    wall_gate_sigma: float = 4.5
+    bias_bin_m: float = 0.2
+    bias_reach_sigma: float = 5.0
 
     def __post_init__(self) -> None:
         if self.rounds < 1 or self.lag < 0:
             raise ConfigurationError(
                 f"rounds, lag: expected at least 1 and 0, got {self.rounds} and {self.lag}"
             )
-        if not 0.0 < self.first_spread_m < np.inf:
-            raise ConfigurationError(f"first_spread_m: expected a positive number, got {self.first_spread_m}")
+        for name in ("first_spread_m", "wall_gate_sigma", "bias_bin_m", "bias_reach_sigma"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise ConfigurationError(f"{name}: expected a positive number, got {getattr(self, name)}")
         if not 0.0 < self.least_probability < 1.0:
             raise ConfigurationError(
                 f"least_probability: expected a number between 0 and 1, got {self.least_probability}"
@@ -103,14 +122,15 @@ def refine(
     config = config or RefineConfig()
     if len(result.epoch) != len(measurements.epochs):
         raise InputError(f"result: expected {len(measurements.epochs)} epochs, got {len(result.epoch)}")
-    problem, at, wall_id = _start(measurements, result, model)
+    problem, at, wall_id = _start(measurements, result, model, config.wall_gate_sigma)
     epochs = [guard_clutter(epoch, model.noise.most_paths) for epoch in measurements.epochs]
     tables = [stack_paths(epoch, measurements.carrier_hz) for epoch in epochs]
     located = result.anchor_valid[-1]
-    at = _biased(problem, at, tables)
-    spread = np.full((1, 1, 1), config.first_spread_m**2)
+    heard = stacked_paths(tables)
+    at = _biased(problem, at, heard, config)
+    spread: ArrayLike = config.first_spread_m**2
     for _ in range(config.rounds):
-        factors = path_factors(problem, at, tables, located, spread, config.least_probability)
+        factors = path_factors(problem, at, heard, located, spread, config.least_probability)
         problem = replace(problem, paths=factors, sweeps=_sweep_factors(problem, at, measurements))
         smoothed = smooth(problem, at)
         at, spread = smoothed.trajectory, _spread(problem, smoothed)
@@ -120,7 +140,7 @@ def refine(
 
 
 def _start(
-    measurements: MeasurementSet, result: SlamResult, model: Models
+    measurements: MeasurementSet, result: SlamResult, model: Models, wall_gate_sigma: float
 ) -> tuple[Problem, Trajectory, NDArray[np.int64]]:
     """A problem without factors, where its result has everything, and the walls' identities by slot."""
     from scipy.optimize import linear_sum_assignment
@@ -130,8 +150,8 @@ def _start(
     sensed: dict[int, GaussianVrp] = {}
     if len(found) and measurements.walls:
         gaps = np.array([[_distance(wall, vrp) for vrp in vrps] for wall in measurements.walls])
-        for i, j in zip(*linear_sum_assignment(np.minimum(gaps, 1e6)), strict=True):
-            if gaps[i, j] < model.gating.gate_sigma**2 + 4.0:
+        for i, j in zip(*linear_sum_assignment(np.minimum(gaps, wall_gate_sigma**2)), strict=True):
+            if gaps[i, j] < wall_gate_sigma**2:
                 sensed[int(j)] = measurements.walls[i]
     if not sensed:
         raise InputError("result: expected a wall that was sensed at the start, got none")
@@ -173,20 +193,19 @@ def _bearing_variance(wall: GaussianVrp) -> float:
     return float(tangent @ wall.covariance_m2 @ tangent) / square**2
 
 
-def _biased(problem: Problem, at: Trajectory, tables: list[EpochPaths]) -> Trajectory:
+def _biased(problem: Problem, at: Trajectory, heard: RunPaths, config: RefineConfig) -> Trajectory:
     """Clock biases from the offset that most paths have in common, if there may be any."""
     model, layout = problem.config.noise, problem.layout
     if model.clock_bias_std_m == 0.0:
         return at
-    length, _, valid = stacked_lengths(tables)
     prediction = predict_paths(at.states(), layout)
     first = slice(0, 1 + layout.slots)
-    width, reach = 0.2, 5.0 * model.clock_bias_std_m
-    bins = int(2.0 * reach / width) + 1
+    reach = config.bias_reach_sigma * model.clock_bias_std_m
+    bins = int(2.0 * reach / config.bias_bin_m) + 1
     votes = np.zeros((layout.anchors, bins))
     for k in range(layout.anchors):
-        gap = length[:, k, None, :] - prediction.length_m[:, k, first, None]
-        use = valid[:, k, None, :] & prediction.possible[:, k, first, None]
+        gap = heard.length_m[:, k, None, :] - prediction.length_m[:, k, first, None]
+        use = heard.valid[:, k, None, :] & prediction.possible[:, k, first, None]
         votes[k] = np.convolve(np.histogram(gap[use], bins, (-reach, reach))[0], np.ones(3), mode="same")
     if model.clock_bias_common:
         votes[:] = votes.sum(axis=0)
@@ -198,14 +217,11 @@ def _biased(problem: Problem, at: Trajectory, tables: list[EpochPaths]) -> Traje
 
 def _spread(problem: Problem, smoothed: Smoothed) -> Array:
     """Variances (T, K, F) of the lengths that a smoothed run predicts."""
-    basis, _ = problem.basis()
-    jacobian = predict_paths(smoothed.trajectory.states(), problem.layout).jacobian
-    moving, standing = jacobian[..., AGENT], jacobian @ basis
-    found = smoothed.marginals
-    total = np.einsum("tkfi,tij,tkfj->tkf", moving, found.chain, moving, optimize=True)
-    total += 2.0 * np.einsum("tkfi,tij,tkfj->tkf", moving, found.cross, standing, optimize=True)
-    total += np.einsum("tkfi,ij,tkfj->tkf", standing, found.border, standing, optimize=True)
-    return np.asarray(np.maximum(total, 0.0))
+    at, found = smoothed.trajectory, smoothed.marginals
+    column = column_of(problem.basis()[0])
+    return length_variances(
+        problem.layout, at.agent, at.still, column, found.chain, found.cross, found.border
+    )
 
 
 def _sweep_factors(problem: Problem, at: Trajectory, measurements: MeasurementSet) -> tuple[SweepFactor, ...]:
