@@ -14,8 +14,8 @@ import numpy as np
 from estimator.errors import ConfigurationError
 from estimator.experiments.room import Room
 from estimator.simulate import SimulationConfig
-from estimator.slam.limits.bounds import Limit, limit
-from estimator.slam.limits.scenario import Sensing
+from estimator.slam.bounds.posterior import Bounds, posterior_bounds
+from estimator.slam.bounds.scenario import Sensing
 from estimator.slam.methods import METHODS, PAIRS, Method, method_for
 
 __all__ = ["OPTIONS", "Case", "Option", "cases_of", "limit_of", "simulation_with"]
@@ -32,7 +32,7 @@ class Option:
     simulation : mapping
         Fields of :class:`~estimator.simulate.SimulationConfig` that it sets.
     sensing : mapping
-        Fields of :class:`~estimator.slam.limits.scenario.Sensing` that it sets.
+        Fields of :class:`~estimator.slam.bounds.scenario.Sensing` that it sets.
     """
 
     text: str
@@ -141,7 +141,7 @@ def cases_of(methods: Sequence[str], engine: str | None, every_engine: bool = Tr
     return cases
 
 
-def limit_of(room: Room, case: Case) -> Limit | None:
+def limit_of(room: Room, case: Case) -> Bounds | None:
     """The bound of what a case measures.
 
     None for a method that hears no paths, and for one that knows neither a wall nor an anchor at the start:
@@ -160,4 +160,4 @@ def limit_of(room: Room, case: Case) -> Limit | None:
     )
     for name in case.options:
         sensing = replace(sensing, **OPTIONS[name].sensing)
-    return limit(room.scenario, sensing)
+    return posterior_bounds(room.scenario, sensing)

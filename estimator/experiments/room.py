@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from estimator.geometry import vrp_of_line
 from estimator.measurements import MeasurementSet
 from estimator.simulate import SimulationConfig, measure_scene, walls_in_view
-from estimator.slam.limits.scenario import Scenario
+from estimator.slam.bounds.scenario import Scenario
 
 __all__ = ["Room", "make_room"]
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from estimator.evaluation.metrics import nees_band
 from estimator.experiments.room import Room
 from estimator.experiments.runs import Score
-from estimator.slam.limits.bounds import Limit, expected_distance
+from estimator.slam.bounds.posterior import Bounds, expected_distance
 
 __all__ = ["CONVERGED_M", "converged_step", "limit_curves", "mean_of", "rms_of", "score_curves", "summarise"]
 
@@ -68,7 +68,7 @@ def score_curves(scores: Sequence[Score]) -> dict[str, Array]:
     }
 
 
-def limit_curves(limit: Limit, room: Room) -> dict[str, Array]:
+def limit_curves(limit: Bounds, room: Room) -> dict[str, Array]:
     """What no method can beat, named as by :func:`score_curves`.
 
     A wall of which nothing is known yet counts as the cut-off, as a missing one does.
@@ -82,14 +82,14 @@ def limit_curves(limit: Limit, room: Room) -> dict[str, Array]:
     }
 
 
-def summarise(scores: Sequence[Score], limit: Limit | None, room: Room) -> dict[str, Any]:
+def summarise(scores: Sequence[Score], limit: Bounds | None, room: Room) -> dict[str, Any]:
     """Figures of merit of the runs of one case, JSON types only.
 
     Parameters
     ----------
     scores : sequence of Score
         The runs.
-    limit : Limit or None
+    limit : Bounds or None
         The bound, if there is one.
     room : Room
         The truth.
@@ -138,7 +138,7 @@ def _mean(values: Array) -> float:
     return float(known.mean()) if known.size else np.nan
 
 
-def _limit_of(limit: Limit, room: Room) -> dict[str, Any]:
+def _limit_of(limit: Bounds, room: Room) -> dict[str, Any]:
     curves = limit_curves(limit, room)
     return {
         "mae_final_m": float(curves["mae_m"][-1]),

@@ -22,12 +22,13 @@ from estimator.slam.smoothing.arrowhead import Arrowhead
 from estimator.slam.smoothing.factors import Problem, Trajectory, column_of
 from estimator.slam.smoothing.measured_paths import add_paths
 
-__all__ = ["Linear", "Past", "linearise"]
+__all__ = ["JITTER_M2", "Linear", "Past", "linearise"]
 
 Array = NDArray[np.float64]
 
 _AGENT = 4
-_JITTER = 1e-6  # m^2: makes the driving noise, of rank 2 of 4, invertible; far below any measurement
+JITTER_M2 = 1e-6
+"""Makes the driving noise, of rank 2 of 4, invertible, square metres; far below any measurement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +125,7 @@ def linearise(problem: Problem, at: Trajectory, past: Past | None = None) -> Lin
         before = np.flatnonzero(np.diff(problem.time_s) == step)
         move = transition(float(step))
         noise = process_noise(float(step), problem.config.motion.acceleration_variance)
-        drive = np.linalg.inv(noise + _JITTER * np.eye(_AGENT))
+        drive = np.linalg.inv(noise + JITTER_M2 * np.eye(_AGENT))
         gap = at.agent[before + 1] - at.agent[before] @ move.T
         chain[before] += move.T @ drive @ move
         chain[before + 1] += drive
@@ -145,7 +146,7 @@ def linearise(problem: Problem, at: Trajectory, past: Past | None = None) -> Lin
         below += pull[_AGENT:]
     else:
         start = np.concatenate(
-            [np.full(2, 1.0 / _JITTER), np.full(2, problem.config.motion.velocity_std_m_s**-2)]
+            [np.full(2, 1.0 / JITTER_M2), np.full(2, problem.config.motion.velocity_std_m_s**-2)]
         )
         chain[0] += np.diag(start)
         right[0] -= start * at.agent[0]

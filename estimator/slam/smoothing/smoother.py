@@ -16,18 +16,41 @@ from numpy.typing import NDArray
 
 from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import rotate_by_angle_of
+from estimator.slam.models.settings import Settings, positive
 from estimator.slam.models.state_vector import AGENT, THETA, Layout
 from estimator.slam.smoothing.arrowhead import Marginals, eliminate
 from estimator.slam.smoothing.factors import Problem, SweepFactor, Trajectory
 from estimator.slam.smoothing.linearise import Linear, Past, linearise
 
-__all__ = ["Smoothed", "smooth", "smooth_fixed_lag"]
+__all__ = ["Descent", "Smoothed", "smooth", "smooth_fixed_lag"]
 
 Array = NDArray[np.float64]
 
-_ITERATIONS = 40
-_CONVERGED = 1e-6  # relative decrease of the cost
-_MAX_DAMPING = 1e8
+
+@dataclass(frozen=True)
+class Descent(Settings):
+    """How Levenberg and Marquardt's steps are taken.
+
+    Parameters
+    ----------
+    iterations : int
+        Steps at most; those that are taken back count.
+    converged : float
+        Relative decrease of the cost below which the descent has ended.
+    first_damping : float
+        Share by which the diagonal is raised at first: small, for starts are near.
+    damping_growth, damping_decay : float
+        Factors of the damping after a step that is taken back, and after one that is kept.
+    most_damping : float
+        Damping at which no step lowers the cost any more.
+    """
+
+    iterations: int = positive(40)
+    converged: float = positive(1e-6)
+    first_damping: float = positive(1e-4)
+    damping_growth: float = positive(10.0)
+    damping_decay: float = positive(0.01)
+    most_damping: float = positive(1e8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,23 +117,24 @@ def smooth(problem: Problem, start: Trajectory) -> Smoothed:
 
 
 def descend(
-    problem: Problem, start: Trajectory, past: Past | None = None, iterations: int = _ITERATIONS
+    problem: Problem, start: Trajectory, past: Past | None = None, descent: Descent | None = None
 ) -> tuple[Trajectory, Linear]:
     """Levenberg-Marquardt; the last trajectory and the problem linearised there."""
     basis, _ = problem.basis()
-    at, damping = start, 1e-4
+    descent = descent or Descent()
+    at, damping = start, descent.first_damping
     linear = linearise(problem, at, past)
-    for _ in range(iterations):
+    for _ in range(descent.iterations):
         factor = eliminate(linear.matrix.damped(damping))
         trial_at = at.moved(*factor.solve(linear.chain, linear.border), basis)
         trial = linearise(problem, trial_at, past)
         if not trial.cost <= linear.cost:
-            damping *= 10.0
-            if damping > _MAX_DAMPING:
+            damping *= descent.damping_growth
+            if damping > descent.most_damping:
                 break
             continue
-        done = linear.cost - trial.cost <= _CONVERGED * (1.0 + abs(linear.cost))
-        at, linear, damping = trial_at, trial, max(0.01 * damping, 1e-12)
+        done = linear.cost - trial.cost <= descent.converged * (1.0 + abs(linear.cost))
+        at, linear, damping = trial_at, trial, max(descent.damping_decay * damping, 1e-12)
         if done:
             break
     return at, linear
@@ -149,6 +173,7 @@ def smooth_fixed_lag(problem: Problem, start: Trajectory, lag: int = 20, iterati
     if lag < 1 or iterations < 1:
         raise ConfigurationError(f"lag, iterations: expected at least 1, got {lag} and {iterations}")
     _check(problem, start)
+    descent = Descent(iterations=iterations)
     basis, _ = problem.basis()
     last = len(problem.time_s) - 1
     window, past, first = Trajectory(start.agent[:1], start.still), None, 0
@@ -159,7 +184,7 @@ def smooth_fixed_lag(problem: Problem, start: Trajectory, lag: int = 20, iterati
             ahead = window.agent[-1] + step * np.concatenate([window.agent[-1, 2:], np.zeros(2)])
             window = replace(window, agent=np.vstack([window.agent, ahead]))
         part = _part(problem, first, now)
-        window, linear = descend(part, window, past, iterations)
+        window, linear = descend(part, window, past, descent)
         if now < last and now - first < lag:
             continue
         marginals = eliminate(linear.matrix).marginals()

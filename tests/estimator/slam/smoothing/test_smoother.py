@@ -11,12 +11,13 @@ from estimator.errors import ConfigurationError, InputError
 from estimator.evaluation.metrics import derotated
 from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
-from estimator.slam import GaussianConfig
-from estimator.slam.limits.bounds import limit
-from estimator.slam.limits.scenario import Scenario, Sensing
+from estimator.slam.bounds.posterior import posterior_bounds
+from estimator.slam.bounds.scenario import Scenario, Sensing
+from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.models.directions import predict_azimuths
 from estimator.slam.models.path_lengths import predict_paths
 from estimator.slam.models.state_vector import FIRST_ANCHOR, THETA, Layout
+from estimator.slam.models.sweeps import predict_flashes
 from estimator.slam.smoothing.factors import PathFactors, Problem, SweepFactor, Trajectory
 from estimator.slam.smoothing.linearise import linearise
 from estimator.slam.smoothing.smoother import smooth, smooth_fixed_lag
@@ -84,7 +85,7 @@ def measured(
         met = scenario.walls_met()
         for t in range(sweep_every, len(states), sweep_every):
             for wall in np.flatnonzero(met[t]):
-                image, _ = scenario._image(states[t], int(wall))
+                image = predict_flashes(states[t], layout)[0][wall]
                 variance = Sensing().sweep_variance * 0.25 * image @ image
                 flash = GaussianVrp(image + np.sqrt(variance) * noise(2), variance * np.eye(2))
                 sweeps.append(SweepFactor(t, int(wall), flash))
@@ -147,7 +148,7 @@ def test_covariances_are_the_batch_bound(scenario, data, sensing):
     found = smooth(problem, start)
     np.testing.assert_allclose(found.agent_mean[:, :2], scenario.states[:, :2], atol=0.02)
     np.testing.assert_allclose(found.wall_mean_m[-1], scenario.vrps_m, atol=0.02)
-    bound = limit(scenario, Sensing(sensed=SENSED, **sensing), "batch")
+    bound = posterior_bounds(scenario, Sensing(sensed=SENSED, **sensing), "batch")
     for t in (20, 120, 235):
         np.testing.assert_allclose(
             found.agent_covariance[t, :2, :2], bound.position_covariance_m2[t], rtol=0.01, atol=2e-5
@@ -177,7 +178,8 @@ def test_smoother_is_consistent_and_meets_the_bound(scenario):
     dimensions = problems[0].basis()[0].shape[1]
     mc = 3.0 * np.sqrt(2.0 / (dimensions * runs))
     assert 0.8 - mc < np.mean(squares) < 1.2 + mc
-    bound = limit(scenario, Sensing(sensed=SENSED, detection_probability=0.95)).derotated_rmse_m[-1]
+    sensing = Sensing(sensed=SENSED, detection_probability=0.95)
+    bound = posterior_bounds(scenario, sensing).derotated_rmse_m[-1]
     # the true track bends less than the motion model expects, so the error may be below its mean
     assert np.sqrt(np.mean(np.sum(np.square(errors), axis=1))) < bound * (1.0 + 3.0 / np.sqrt(4.0 * runs))
     # claiming half of the true standard deviations would be noticed

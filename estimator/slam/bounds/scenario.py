@@ -22,6 +22,7 @@ from estimator.geometry import vrp_of_line
 from estimator.slam.models.directions import predict_azimuths
 from estimator.slam.models.path_lengths import predict_paths
 from estimator.slam.models.state_vector import POSITION, THETA, Layout
+from estimator.slam.models.sweeps import predict_flashes
 from estimator.specular import SpecularPaths, specular_paths
 
 __all__ = ["Observation", "Scenario", "Sensing"]
@@ -244,10 +245,11 @@ class Scenario:
                 variance = sensing.azimuth_std_rad**2 / sensing.detection_probability
                 parts.append((angles[t][seen[t]], np.full(count, variance), -np.ones(count)))
             if sensing.sweep_every and t and t % sensing.sweep_every == 0:
+                images, by_state = predict_flashes(state, layout)
                 for wall in np.flatnonzero(met[t]):
-                    image, by_state = self._image(state, int(wall))
+                    image = images[wall]
                     variance = sensing.sweep_variance * 0.25 * float(image @ image)
-                    parts.append((by_state, np.full(2, variance), np.array([image[1], -image[0]])))
+                    parts.append((by_state[wall], np.full(2, variance), np.array([image[1], -image[0]])))
             jacobian, variances, by_heading = (np.concatenate(column) for column in zip(*parts, strict=True))
             jacobian[:, THETA] = 0.0
             covariance = np.diag(variances)
@@ -255,21 +257,6 @@ class Scenario:
                 covariance += _ANY_HEADING_RAD2 * np.outer(by_heading, by_heading)
             result.append(Observation(jacobian, covariance))
         return result
-
-    def _image(self, state: Array, wall: int) -> tuple[Array, Array]:
-        """The agent's mirror image relative to the agent, ``(|v| - 2 p.n) n``, and its derivatives (2, n)."""
-        layout = self.layout
-        vrp, position = state[layout.wall(wall)], state[POSITION]
-        length = np.linalg.norm(vrp)
-        normal = vrp / length
-        reach = length - 2.0 * position @ normal
-        turn = (np.eye(2) - np.outer(normal, normal)) / length  # d n / d v
-        jacobian = np.zeros((2, layout.size))
-        jacobian[:, POSITION] = -2.0 * np.outer(normal, normal)
-        jacobian[:, layout.wall(wall)] = (
-            np.outer(normal, normal) - 2.0 * np.outer(normal, position) @ turn + reach * turn
-        )
-        return reach * normal, jacobian
 
     def prior(self, sensing: Sensing) -> tuple[Array, Array]:
         """Independent unknowns of the first state.

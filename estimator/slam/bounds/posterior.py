@@ -1,7 +1,7 @@
 """Posterior Cramer-Rao bounds of agent, anchors and walls: what no method can beat.
 
 For Gaussian noise the Bayesian information of a run is that of the problem linearised at the truth:
-of the measurements (:mod:`estimator.slam.limits.scenario`), of the motion (39) and of the prior. Two
+of the measurements (:mod:`estimator.slam.bounds.scenario`), of the motion (39) and of the prior. Two
 bounds follow,
 
 - *recursive*: what the measurements up to an epoch allow at that epoch, the limit of a filter
@@ -24,21 +24,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import ConfigurationError, InputError
-from estimator.slam.limits.scenario import Scenario, Sensing
+from estimator.slam.bounds.scenario import Scenario, Sensing
 from estimator.slam.models.motion import process_noise, transition
 from estimator.slam.models.state_vector import AGENT, POSITION
 from estimator.slam.smoothing.arrowhead import Arrowhead, eliminate
+from estimator.slam.smoothing.linearise import JITTER_M2
 
-__all__ = ["Limit", "expected_distance", "limit"]
+__all__ = ["Bounds", "expected_distance", "posterior_bounds"]
 
 Array = NDArray[np.float64]
 
-_DIRECTIONS = 720
-_JITTER = 1e-6  # m^2: makes the driving noise, of rank 2 of 4, invertible; one ten-thousandth of it
+_DIRECTIONS = 720  # of the quadrature of mean distances
 
 
 @dataclass(frozen=True, eq=False)
-class Limit:
+class Bounds:
     """Bounds of a run, epoch by epoch.
 
     Parameters
@@ -79,11 +79,6 @@ class Limit:
     def derotated_rmse_m(self) -> Array:
         """Root mean square position error with the rotation removed, shape (T,), metres."""
         return _rms(self.derotated_covariance_m2)
-
-    @property
-    def anchor_rmse_m(self) -> Array:
-        """Root mean square anchor errors, shape (T, K), metres."""
-        return _rms(self.anchor_covariance_m2)
 
     def vrp_ospa_m(self, cutoff_m: float = 10.0) -> Array:
         """Mean OSPA of order 1 of the VRPs, each matched to its own, shape (T,), metres.
@@ -135,12 +130,12 @@ def expected_distance(covariance: ArrayLike, cutoff: float = np.inf) -> Array:
     return np.asarray(np.mean(np.sqrt(0.5 * np.pi) * scale * erf(cutoff / (safe * np.sqrt(2.0))), axis=-1))
 
 
-def limit(
+def posterior_bounds(
     scenario: Scenario,
     sensing: Sensing,
     kind: Literal["recursive", "batch"] = "recursive",
     least_epochs: int = 20,
-) -> Limit:
+) -> Bounds:
     """Bounds of every epoch.
 
     Parameters
@@ -156,7 +151,7 @@ def limit(
 
     Returns
     -------
-    Limit
+    Bounds
 
     Raises
     ------
@@ -178,7 +173,7 @@ def limit(
     reflects = np.any(scenario.visible(1)[:, :, 1 : 1 + layout.slots], axis=1)
     sensed = np.isin(np.arange(layout.slots), list(sensing.sensed))
     counts = (np.logical_or.accumulate(reflects) & (reflects.sum(axis=0) >= least_epochs)) | sensed
-    return Limit(
+    return Bounds(
         position,
         derotated,
         rotation,
@@ -224,10 +219,10 @@ def _batch(scenario: Scenario, sensing: Sensing) -> Array:
         chain[t] += moving.T @ weighted[:, :agent]
         border[t] = moving.T @ weighted[:, agent:]
         corner += standing.T @ weighted[:, agent:]
-    chain[0] += np.diag(np.concatenate([[1.0 / _JITTER] * 2, 1.0 / velocity]))
+    chain[0] += np.diag(np.concatenate([[1.0 / JITTER_M2] * 2, 1.0 / velocity]))
     move = transition(scenario.step_s)
     drive = np.linalg.inv(
-        process_noise(scenario.step_s, sensing.acceleration_variance) + _JITTER * np.eye(agent)
+        process_noise(scenario.step_s, sensing.acceleration_variance) + JITTER_M2 * np.eye(agent)
     )
     chain[:-1] += move.T @ drive @ move
     chain[1:] += drive

@@ -10,8 +10,9 @@ from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import mirror_in_wall
 from estimator.sensing.linefit import fit_lines
 from estimator.sensing.ranges import EchoLaw, variance_published
-from estimator.slam.limits.bounds import expected_distance, limit
-from estimator.slam.limits.scenario import Scenario, Sensing
+from estimator.slam.bounds.posterior import expected_distance, posterior_bounds
+from estimator.slam.bounds.scenario import Scenario, Sensing
+from estimator.slam.models.sweeps import predict_flashes
 from estimator.waveform import OfdmGrid
 
 SENSED = {0: 0.08, 1: 0.7, 2: 4.0, 3: 0.2}
@@ -41,7 +42,7 @@ def scenario(room):
 )
 def test_limits_of_the_papers_scenario(scenario, change, rmse, mae, rotation_mrad, ospa):
     """The table of limits at t = 236, to its last digit."""
-    found = limit(scenario, Sensing(**PAPER, **change))
+    found = posterior_bounds(scenario, Sensing(**PAPER, **change))
     assert found.position_rmse_m[-1] == pytest.approx(rmse, abs=0.001)
     assert found.position_mae_m[-1] == pytest.approx(mae, abs=0.002)
     assert 1e3 * found.rotation_std_rad[-1] == pytest.approx(rotation_mrad, abs=0.006)
@@ -67,7 +68,7 @@ def test_limit_with_walls_from_many_beams(scenario):
         wall: fit_lines(distance[met == wall], std[met == wall], azimuth[met == wall]).covariance_m2
         for wall in range(4)
     }
-    found = limit(scenario, Sensing(sensed=sensed, detection_probability=0.95))
+    found = posterior_bounds(scenario, Sensing(sensed=sensed, detection_probability=0.95))
     assert found.position_rmse_m[-1] == pytest.approx(0.187, abs=0.001)
     assert found.position_mae_m[-1] == pytest.approx(0.161, abs=0.0015)
     assert 1e3 * found.rotation_std_rad[-1] == pytest.approx(2.58, abs=0.01)
@@ -81,7 +82,7 @@ def test_two_routes_to_the_last_epoch(scenario):
         {"clock_bias": "each", "sweep_every": 50},
     ):
         sensing = Sensing(**PAPER, **change)
-        forward, batch = limit(scenario, sensing), limit(scenario, sensing, "batch")
+        forward, batch = posterior_bounds(scenario, sensing), posterior_bounds(scenario, sensing, "batch")
         np.testing.assert_allclose(
             batch.position_covariance_m2[-1], forward.position_covariance_m2[-1], rtol=0.01, atol=1e-5
         )
@@ -96,35 +97,38 @@ def test_rotation_is_known_from_the_walls_sensed_alone(scenario):
     """Path lengths never tell the rotation: at every epoch it is what the first sweep knew."""
     radius2 = np.sum(scenario.vrps_m[:4] ** 2, axis=1)
     expected = 1.0 / np.sqrt(np.sum(radius2 / np.array(list(SENSED.values()))))
-    found = limit(scenario, Sensing(sensed=SENSED))
+    found = posterior_bounds(scenario, Sensing(sensed=SENSED))
     np.testing.assert_allclose(found.rotation_std_rad, expected, rtol=1e-3)
-    lost = limit(scenario, Sensing())
+    lost = posterior_bounds(scenario, Sensing())
     assert np.all(lost.rotation_std_rad > 0.5)
     assert lost.derotated_rmse_m[-1] < 1.0
-    held = limit(scenario, Sensing(sensed=SENSED, sweep_every=10, heading_held=False))
+    held = posterior_bounds(scenario, Sensing(sensed=SENSED, sweep_every=10, heading_held=False))
     np.testing.assert_allclose(held.rotation_std_rad, expected, rtol=1e-3)
 
 
 def test_double_bounces_and_known_walls_inform(scenario):
     """More that is measured or known, less error; heights unknown, a little more."""
-    hybrid = limit(scenario, Sensing(sensed=SENSED)).derotated_rmse_m[-1]
-    assert limit(scenario, Sensing(sensed=SENSED, order=2)).derotated_rmse_m[-1] < 0.8 * hybrid
-    assert limit(scenario, Sensing(walls_known=True)).position_rmse_m[-1] < hybrid
-    assert limit(scenario, Sensing(sensed=SENSED, height2_std_m2=1.0)).derotated_rmse_m[-1] >= hybrid
+    hybrid = posterior_bounds(scenario, Sensing(sensed=SENSED)).derotated_rmse_m[-1]
+    assert posterior_bounds(scenario, Sensing(sensed=SENSED, order=2)).derotated_rmse_m[-1] < 0.8 * hybrid
+    assert posterior_bounds(scenario, Sensing(walls_known=True)).position_rmse_m[-1] < hybrid
+    uneven = posterior_bounds(scenario, Sensing(sensed=SENSED, height2_std_m2=1.0))
+    assert uneven.derotated_rmse_m[-1] >= hybrid
 
 
 def test_sweep_measures_the_agents_image(scenario):
     """Value and derivatives of a repeated sweep's measurement against mirror geometry and differences."""
     layout, state = scenario.layout, scenario.states[77]
     for wall in range(layout.slots):
-        image, jacobian = scenario._image(state, wall)
+        image, jacobian = (both[wall] for both in predict_flashes(state, layout))
         place = scenario.track_m[77]
         mirrored = mirror_in_wall(place, scenario.start_m[wall], scenario.end_m[wall])
         np.testing.assert_allclose(image, mirrored - place, atol=1e-9)
         for column in (0, 1, *range(layout.wall(wall).start, layout.wall(wall).stop)):
             step = np.zeros(layout.size)
             step[column] = 1e-5
-            ahead, behind = scenario._image(state + step, wall)[0], scenario._image(state - step, wall)[0]
+            ahead, behind = (
+                predict_flashes(moved, layout)[0][wall] for moved in (state + step, state - step)
+            )
             np.testing.assert_allclose(jacobian[:, column], (ahead - behind) / 2e-5, atol=1e-7)
 
 
@@ -150,12 +154,12 @@ def test_mean_distance_is_the_integral():
 
 def test_walls_count_once_they_reflect(scenario, room):
     """The map owes the fifth wall from when it is first heard, and never a wall heard in passing."""
-    found = limit(scenario, Sensing(sensed=SENSED))
+    found = posterior_bounds(scenario, Sensing(sensed=SENSED))
     assert found.wall_counts[0].tolist() == [True, True, True, True, False]
     first = int(np.argmax(found.wall_counts[:, 4]))
     assert 50 < first < 90
     whole = Scenario(room.walls[:, 0], room.walls[:, 1], room.anchors, scenario.track_m)
-    assert not limit(whole, Sensing(sensed=SENSED)).wall_counts[-1, 5]
+    assert not posterior_bounds(whole, Sensing(sensed=SENSED)).wall_counts[-1, 5]
 
 
 def test_bad_scenarios_and_settings_are_named(scenario):
@@ -167,7 +171,7 @@ def test_bad_scenarios_and_settings_are_named(scenario):
     with pytest.raises(InputError, match="step_s"):
         Scenario(scenario.start_m, scenario.end_m, scenario.anchors_m, scenario.track_m, 0.0)
     with pytest.raises(ConfigurationError, match="'recursive' or 'batch', got 'other'"):
-        limit(scenario, Sensing(), "other")
+        posterior_bounds(scenario, Sensing(), "other")
     with pytest.raises(InputError, match="cutoff"):
         expected_distance(np.eye(2), -1.0)
     for change in (
