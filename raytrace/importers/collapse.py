@@ -19,6 +19,7 @@ Ends still stop at the faces of the walls they run into; :mod:`raytrace.importer
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
@@ -150,13 +151,15 @@ def _pairs(runs: list[_Run], thickest_m: float, direction: Array) -> list[tuple[
             if gap >= _THINNEST_M and one.line.material == other.line.material:
                 candidates.append((gap, one, other))
     candidates.sort(key=lambda candidate: -candidate[0])
+    offsets = [run.offset for run in runs]
     found = []
     for gap, one, other in candidates:
         for shared in _common(one.rest, other.rest):
             if shared[1] - shared[0] < 2.0 * gap:
                 continue
-            for run in runs:  # the two faces, and what is drawn between them
-                if one.offset <= run.offset <= other.offset and run.line.material == one.line.material:
+            between = slice(bisect_left(offsets, one.offset), bisect_right(offsets, other.offset))
+            for run in runs[between]:  # the two faces, and what is drawn between them
+                if run.line.material == one.line.material:
                     left = _without(run.rest, shared)
                     run.paired = run.paired or left != run.rest
                     run.rest = left
@@ -218,20 +221,21 @@ def _without_overlaps(lines: list[Line], report: ImportReport) -> list[Line]:
     """Lines of one family and offset cut so that none lies on another; the shorter stays, then the former."""
     pieces = {id(line): [line] for line in lines}
     for direction, members in _families(lines):
-        runs: list[_Run] = []
+        runs: dict[int, list[_Run]] = {}  # by offset, so that only neighbours are compared
         for line in sorted(members, key=lambda line: round(line.length_m, 6)):
             ends = np.array([line.start_m, line.end_m])
             along = np.sort(ends @ direction)
             offset = float((ends @ np.array([-direction[1], direction[0]])).mean())
             run = _Run(offset, (float(along[0]), float(along[1])), line)
-            for other in runs:
+            place = round(offset / _SAME_PLACE_M)
+            for other in (near for beside in (-1, 0, 1) for near in runs.get(place + beside, ())):
                 if abs(other.offset - offset) <= _SAME_PLACE_M:
                     run.rest = _without(run.rest, other.span)
             if sum(high - low for low, high in run.rest) < line.length_m - _SAME_PLACE_M:
                 report.collapsed["line cut where another material lies on it"] += 1
                 rest = [span for span in run.rest if span[1] - span[0] >= _SHORTEST_M]
                 pieces[id(line)] = [_line(direction, offset, span, line) for span in rest]
-            runs.append(run)
+            runs.setdefault(place, []).append(run)
     return [piece for line in lines for piece in pieces[id(line)]]
 
 

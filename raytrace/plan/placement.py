@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 # What smoothing cuts off a corner is less than the clearance.
 _SMOOTHING_M = 0.5
 # Points of the lattice on which routes are sought: enough for doors, few enough for seconds.
-_NODES, _MOST_NODES = 5_000, 40_000
+_NODES, _MOST_NODES = 5_000, 15_000
 _FINEST_M, _COARSEST_M = 0.1, 0.3
 # What is nearer than this to the walk need not be visited.
 _NEAR_M = 2.5
