@@ -28,6 +28,7 @@ __all__ = ["rows"]
 
 _PATHS = "paths of a position and anchor"
 _TIMES_FASTER = 50.0
+_IMAGES_FASTER = 3.0
 _SECOND_ORDER_BAR_MS = 0.5
 _MEMORY_BAR_GIB = 3.0
 _ANCHORS_M = ((68.0, 6.0, 2.5), (42.0, 36.0, 2.5), (5.0, 5.0, 2.5), (66.0, 57.0, 2.5))
@@ -66,14 +67,20 @@ def _passive(positions: int, sample: int) -> Iterator[Row]:
 
 
 def _scenes(positions: int) -> Iterator[Row]:
-    """Paths of the other shipped scenes, depth 2."""
+    """Paths of the other shipped scenes, depth 2, traced; and of all by the image method alone."""
     from raytrace.plan.files import shipped_scenes
 
+    images = []
     for name in shipped_scenes():
+        plan = _walked(name, positions)
+        what = f"{positions} positions x {len(plan.anchors)} anchors"
+        traced = _traced_ms(plan)
         if name != "l-room":
-            plan = _walked(name, positions)
-            what = f"{positions} positions x {len(plan.anchors)} anchors, image oracle on"
-            yield Row(f"{_PATHS}, depth 2, {name}: {what}", _traced_ms(plan), "ms", _SECOND_ORDER_BAR_MS)
+            row = f"{_PATHS}, depth 2, {name}: {what}, image oracle on"
+            yield Row(row, traced, "ms", _SECOND_ORDER_BAR_MS)
+        row = f"{_PATHS}, depth 2, {name}, image method alone: {what}"
+        images.append(Row(row, _images_ms(plan), "ms", traced / _IMAGES_FASTER, "traced", traced))
+    yield from images
 
 
 def _walked(name: str, positions: int) -> FloorPlan:
@@ -93,6 +100,14 @@ def _traced_ms(plan: FloorPlan) -> float:
     radio = build_scene(plan, plan.radio.carrier_hz)
     seconds = cpu_s(lambda: trace_passive(plan, radio), 1)
     return 1e3 * seconds / (plan.agent.epochs * len(plan.anchors))
+
+
+def _images_ms(plan: FloorPlan) -> float:
+    """CPU time per position and anchor of the image method, compiled before."""
+    from raytrace.propagation.images import image_paths
+
+    image_paths(plan, plan.track()[:2])
+    return 1e3 * cpu_s(lambda: image_paths(plan), 1) / (plan.agent.epochs * len(plan.anchors))
 
 
 def _naive_ms(plan: FloorPlan, sample: int) -> float:

@@ -48,7 +48,13 @@ def test_the_ray_tracer_is_measured_in_earnest(main: Runner) -> None:
     """
     run = main("bench", "--only", "raytrace", "--quick", "--json")
     assert run.status == 0, run.err
-    first, *second, memory, seconds, size = json.loads(run.out)["rows"]
+    rows = json.loads(run.out)["rows"]
+    images = [row for row in rows if "image method alone" in row["name"]]
+    first, *second, memory, seconds, size = (row for row in rows if row not in images)
+    assert len(images) == len(SCENES) + 1
+    for row in images:
+        assert row["peer_value"] == pytest.approx(3.0 * row["bar"])
+        assert row["ratio"] > 3.0, row
     assert first["peer_value"] == pytest.approx(50.0 * first["bar"])
     assert first["ratio"] > 10.0
     for name, row in zip(["", *SCENES], second, strict=True):
