@@ -106,21 +106,21 @@ def image_circles(
 
 
 def met_wall_pairs(position: Array, vrp: Array, margin: float, limit: int) -> Index:
-    """Ordered pairs (P, 2) of walls over which a path can come from anywhere to one of the positions (E, 2).
+    """Ordered pairs (P, 2) of walls over which a path can come to one of the positions (E, 2).
 
-    From the anchor over the near wall, then the far one: the agent's image in the far wall has to stand on
-    the agent's side of the near one, give or take ``margin`` metres, or the ray would leave the far wall away
-    from the near one. If there are more than ``limit``, those whose paths can be the shortest: none is
+    From the anchor over the near wall, then the far one. All pairs, or the likeliest ``limit``: first those
+    that a path on the agent's side of the near wall meets, where the agent's image in the far wall stands on
+    this side too, give or take ``margin`` metres; and of these the ones of the shortest paths: none is
     shorter than the way from that image to the near wall.
     """
-    size = np.hypot(vrp[:, 0], vrp[:, 1])
-    normal = vrp / size[:, None]
-    side = position @ normal.T - 0.5 * size  # (E, L)
-    image = side[:, :, None] - 2.0 * (normal @ normal.T) * side[:, None, :]  # (E, near, far)
-    towards = np.where(side[:, :, None] > 0.0, image, -image).max(axis=0)
-    near, far = np.nonzero((towards > -margin) & ~np.eye(len(vrp), dtype=bool))
+    near, far = np.nonzero(~np.eye(len(vrp), dtype=bool))
     if near.size > limit:
-        chosen = np.sort(np.argsort(np.maximum(towards[near, far], 0.0), kind="stable")[:limit])
+        size = np.hypot(vrp[:, 0], vrp[:, 1])
+        normal = vrp / size[:, None]
+        side = position @ normal.T - 0.5 * size  # (E, L)
+        image = side[:, :, None] - 2.0 * (normal @ normal.T) * side[:, None, :]  # (E, near, far)
+        towards = np.where(side[:, :, None] > 0.0, image, -image).max(axis=0)[near, far]
+        chosen = np.sort(np.lexsort((np.abs(towards), towards < -margin))[:limit])
         near, far = near[chosen], far[chosen]
     return np.stack([near, far], axis=1)
 

@@ -77,7 +77,7 @@ class AnchorSearchConfig:
     seed_radius_m, place_radius_m : float
         Seeds, and places, closer than this to a better one are the same, metres.
     wall_pair_margin_m : float
-        Walls may be misplaced by so much when double bounces are ruled out, metres.
+        Walls may be misplaced by so much when double bounces are ranked, metres.
     touch_m2 : float
         Circles that miss each other still touch, if the squared half chord is no less than minus this.
     max_wall_pairs : int

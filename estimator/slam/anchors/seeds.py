@@ -16,7 +16,7 @@ from estimator.slam.anchors.circles import Circles, intersect
 from estimator.slam.anchors.likelihood import Model, Place, gate_epoch, is_behind, room_for
 from estimator.slam.anchors.observations import Observations
 
-__all__ = ["Cells", "SearchLimits", "apart", "choose_seeds"]
+__all__ = ["Cells", "SearchLimits", "apart", "choose_seeds", "paired"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -88,7 +88,7 @@ def choose_seeds(
     touch : float
         As in :func:`estimator.slam.anchors.circles.intersect`.
     """
-    centre, path = _paired(circles, seen, min(limits.pairs, limits.pairs_in_all // len(cells.bias_m)), limits)
+    centre, path = paired(circles, seen, min(limits.pairs, limits.pairs_in_all // len(cells.bias_m)), limits)
     x, y, cell = _intersections(circles, seen, cells, centre, path, touch)
     score = cells.log_prior[cell]
     single, every = 1 + circles.walls, circles.x.shape[1]
@@ -103,7 +103,7 @@ def choose_seeds(
     return x[kept], y[kept], cell[kept]
 
 
-def _paired(circles: Circles, seen: Observations, most: int, limits: SearchLimits) -> tuple[Index, Index]:
+def paired(circles: Circles, seen: Observations, most: int, limits: SearchLimits) -> tuple[Index, Index]:
     """The centres and the paths of the last epoch that are paired, of which pairs are about ``most``."""
     centre, path = np.arange(1 + circles.walls), np.arange(seen.paths[-1])
     if _pairs(centre.size) * 2 * _pairs(path.size) <= most:
