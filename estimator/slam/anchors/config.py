@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
-import numpy as np
-
-from estimator.errors import ConfigurationError
+from estimator.slam.models.settings import Settings, any_number, not_negative, positive, probability
 
 __all__ = ["AnchorSearchConfig"]
 
-_SIGNED = ("rival_log_prior", "behind_wall_log_prior", "late_evidence_nats")
-_PROBABILITIES = (
-    "sure_probability",
-    "search_visibility_los",
-    "search_visibility_wall",
-    "search_visibility_pair",
-)
-
 
 @dataclass(frozen=True)
-class AnchorSearchConfig:
+class AnchorSearchConfig(Settings):
     """Decisions and limits of the anchor search.
 
     Parameters
@@ -66,6 +56,13 @@ class AnchorSearchConfig:
         Clock biases tried; where more are needed the spacing grows.
     max_clock_groups : int
         Groups of hypotheses that agree on an anchor's clock bias, each of which is searched for.
+    height_cells : int
+        Heights above or below the agent that are tried; 0 compares path lengths with distances
+        in the plane, right where these are many times the height. Each costs as much as a clock bias.
+    height_min_m, height_max_m : float
+        The least and the largest of these, metres; the others are spaced geometrically.
+    height_scale_m : float
+        Mean of the exponential prior of the height, metres: antennas on ceilings and walls.
     search_gate_sigma : float
         Standard deviations within which a path may explain a circle.
     search_visibility_los, search_visibility_wall, search_visibility_pair : float
@@ -119,68 +116,59 @@ class AnchorSearchConfig:
         Hypotheses that may be made of each anchor whatever their size.
     """
 
-    start_window: int = 16
-    search_stride: int = 4
-    recheck_stride: int = 8
-    doubt_sigma: float = 4.0
-    doubt_paths: float = 0.5
-    start_matches: int = 4
-    start_fresh: int = 2
-    sure_probability: float = 0.9
-    start_attempts: int = 20
-    restart_distance_m: float = 2.0
-    place_margin_nats: float = 2.0
-    late_evidence_nats: float = 20.0
-    rival_log_prior: float = -3.0
-    behind_wall_log_prior: float = -2.5
-    anchor_prior_std_m: float = 10.0
-    clock_step_m: float = 1.0
-    clock_sigma: float = 3.0
-    max_clocks: int = 128
-    max_clock_groups: int = 10
-    search_gate_sigma: float = 4.0
-    search_visibility_los: float = 0.9
-    search_visibility_wall: float = 0.6
-    search_visibility_pair: float = 0.2
-    los_loss_std_db: float = 2.5
-    loss_range_db: float = 40.0
-    seed_radius_m: float = 0.7
-    place_radius_m: float = 0.5
-    wall_pair_margin_m: float = 1.0
-    touch_m2: float = 1.0
-    max_wall_pairs: int = 64
-    max_gated: int = 8
-    max_pairs: int = 20_000
-    max_pair_circles: int = 400_000
-    min_paired_circles: int = 5
-    min_paired_paths: int = 12
-    max_scored: int = 1_000
-    max_scored_circles: int = 80_000
-    max_refined: int = 60
-    max_refined_in_all: int = 600
-    max_refined_circles: int = 24_000
-    max_grid_searches: int = 2
-    labelling_gap_m: float = 3.0
-    labelling_slack: float = 1.2
-    max_labellings: int = 24
-    max_labelling_nodes: int = 20_000
-    max_labelling_nodes_in_all: int = 400_000
-    max_labelled_features: int = 200_000
-    max_branch_floats: int = 2_400_000
-    min_branches: int = 4
-
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not np.isfinite(value) or (value <= 0 and entry.name not in _SIGNED):
-                kind = "finite" if entry.name in _SIGNED else "positive"
-                raise ConfigurationError(
-                    f"AnchorSearchConfig.{entry.name}: expected a {kind} number, got {value!r}"
-                )
-            if entry.name in _PROBABILITIES and value >= 1.0:
-                raise ConfigurationError(
-                    f"AnchorSearchConfig.{entry.name}: expected less than 1, got {value!r}"
-                )
+    start_window: int = positive(16)
+    search_stride: int = positive(4)
+    recheck_stride: int = positive(8)
+    doubt_sigma: float = positive(4.0)
+    doubt_paths: float = positive(0.5)
+    start_matches: int = positive(4)
+    start_fresh: int = positive(2)
+    sure_probability: float = probability(0.9)
+    start_attempts: int = positive(20)
+    restart_distance_m: float = positive(2.0)
+    place_margin_nats: float = positive(2.0)
+    late_evidence_nats: float = any_number(20.0)
+    rival_log_prior: float = any_number(-3.0)
+    behind_wall_log_prior: float = any_number(-2.5)
+    anchor_prior_std_m: float = positive(10.0)
+    clock_step_m: float = positive(1.0)
+    clock_sigma: float = positive(3.0)
+    max_clocks: int = positive(128)
+    max_clock_groups: int = positive(10)
+    height_cells: int = not_negative(0)
+    height_min_m: float = positive(0.5)
+    height_max_m: float = positive(6.5)
+    height_scale_m: float = positive(2.5)
+    search_gate_sigma: float = positive(4.0)
+    search_visibility_los: float = probability(0.9)
+    search_visibility_wall: float = probability(0.6)
+    search_visibility_pair: float = probability(0.2)
+    los_loss_std_db: float = positive(2.5)
+    loss_range_db: float = positive(40.0)
+    seed_radius_m: float = positive(0.7)
+    place_radius_m: float = positive(0.5)
+    wall_pair_margin_m: float = positive(1.0)
+    touch_m2: float = positive(1.0)
+    max_wall_pairs: int = positive(64)
+    max_gated: int = positive(8)
+    max_pairs: int = positive(20_000)
+    max_pair_circles: int = positive(400_000)
+    min_paired_circles: int = positive(5)
+    min_paired_paths: int = positive(12)
+    max_scored: int = positive(1_000)
+    max_scored_circles: int = positive(80_000)
+    max_refined: int = positive(60)
+    max_refined_in_all: int = positive(600)
+    max_refined_circles: int = positive(24_000)
+    max_grid_searches: int = positive(2)
+    labelling_gap_m: float = positive(3.0)
+    labelling_slack: float = positive(1.2)
+    max_labellings: int = positive(24)
+    max_labelling_nodes: int = positive(20_000)
+    max_labelling_nodes_in_all: int = positive(400_000)
+    max_labelled_features: int = positive(200_000)
+    max_branch_floats: int = positive(2_400_000)
+    min_branches: int = positive(4)
 
     def widened(self) -> AnchorSearchConfig:
         """The same with twice the places kept of each search."""

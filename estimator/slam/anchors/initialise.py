@@ -21,14 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.anchors.branching import branch_hypotheses
+from estimator.slam.anchors.cells import Cells, cells_of, limits_of
 from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.anchors.joint_update import BranchLimits, PlacePaths
 from estimator.slam.anchors.labellings import labellings
 from estimator.slam.anchors.likelihood import walls_between
 from estimator.slam.anchors.observations import NoiseModel, observations_of
 from estimator.slam.anchors.schedule import is_doubtful, is_early
-from estimator.slam.anchors.search import Candidates, Scene, evidence_at, find_places, known_cell, scene_of
-from estimator.slam.anchors.seeds import Cells, SearchLimits
+from estimator.slam.anchors.search import Candidates, Scene, evidence_at, find_places, scene_of
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.path_buffer import PathBuffer
 from estimator.slam.models.state_vector import Layout
@@ -249,9 +249,10 @@ def _searched(
         return known and _Search(k, members, *list(vars(known).values())[2:])
     mean, covariance = hypotheses.mean[first], hypotheses.covariance[first]
     b = layout.bias(k)
-    cells, extra = _cells(float(mean[b]), float(np.sqrt(covariance[b, b])), config)
+    std = float(np.sqrt(covariance[b, b]))
+    cells, extra = cells_of(float(mean[b]), std, config)
     share = budget.anchors * groups
-    if len(cells.bias_m) > 1:
+    if std >= config.clock_step_m:
         if budget.grids == 0:
             return None
         share = min(budget.anchors, config.max_grid_searches) * groups
@@ -264,7 +265,7 @@ def _searched(
     variance, gain = 0.5 * float(np.trace(covariance[:2, :2])), float(given.gain_offset_db[k])
     seen = observations_of(k, mean[:2], variance, now, given.heard, gain, given.noise, config)
     scene = scene_of(seen, vrp, np.array(spread).reshape(-1, 2, 2), given.noise, config, extra)
-    limits = _limits(share, len(cells.bias_m), scene, config)
+    limits = limits_of(share, len(cells.bias_m), scene.circles, config)
     found = find_places(scene, cells, limits, given.prune_nats, config)
     enough = (found.matches >= config.start_matches - (len(seen.paths) > 1)) & (
         found.fresh >= config.start_fresh
@@ -272,7 +273,7 @@ def _searched(
     located = bool(hypotheses.located[first, k])
     if located:
         here = hypotheses.mean[hypotheses.best, layout.anchor_xy(k)]
-        enough &= _rivals(here, float(mean[b]), found, scene, config)
+        enough &= _rivals(here, cells, found, scene, config)
     elif hypotheses.located[first].any():
         enough &= (found.matches >= config.start_matches) | (found.log_evidence > config.late_evidence_nats)
     result = _Search(k, members, scene, slots, found, enough, located)
@@ -280,40 +281,16 @@ def _searched(
     return result
 
 
-def _cells(mean: float, std: float, config: AnchorSearchConfig) -> tuple[Cells, float]:
-    """The clock biases to try, and the variance of what they leave."""
-    if std < config.clock_step_m:
-        return known_cell(mean), std**2
-    step = max(config.clock_step_m, 2.0 * config.clock_sigma * std / (config.max_clocks - 1))
-    shift = np.arange(-config.clock_sigma * std, config.clock_sigma * std + step, step)
-    log_prior = -0.5 * (shift / std) ** 2 + np.log(step / (std * np.sqrt(2.0 * np.pi)))
-    return Cells(mean + shift, np.zeros(shift.size), log_prior), step**2 / 12.0
-
-
-def _limits(share: int, cells: int, scene: Scene, config: AnchorSearchConfig) -> SearchLimits:
-    """What one of ``share`` searches of so many cells may cost."""
-    walls, every = 1 + scene.circles.walls, scene.circles.x.shape[1]
-    scored = config.max_scored_circles // (share * max(every - walls, 1))
-    refined = min(config.max_refined_in_all, config.max_refined_circles // scene.circles.x.size) // share
-    return SearchLimits(
-        pairs=config.max_pairs,
-        pairs_in_all=config.max_pair_circles // (share * walls),
-        paired_circles=config.min_paired_circles,
-        paired_paths=config.min_paired_paths,
-        scored=max(min(config.max_scored * cells, scored), 1),
-        refined=config.max_refined,
-        refined_in_all=max(refined, 1),
-    )
-
-
 def _rivals(
-    here: Array, bias: float, found: Candidates, scene: Scene, config: AnchorSearchConfig
+    here: Array, cells: Cells, found: Candidates, scene: Scene, config: AnchorSearchConfig
 ) -> NDArray[np.bool_]:
     """Which places are elsewhere and explain more than where the anchor is; not its images behind walls."""
     rival = np.hypot(*(found.mean_m - here).T) > config.restart_distance_m
     behind = walls_between(here[0], here[1], scene.vrp_m)
     rival &= np.array([walls_between(x, y, scene.vrp_m) <= behind for x, y in found.mean_m], dtype=bool)
-    return np.asarray(rival & (found.log_evidence > evidence_at(scene, here[None], bias)[0]))
+    tried = zip(*cells, strict=True)
+    known = max(evidence_at(scene, here[None], *map(float, cell))[0] + prior for *cell, prior in tried)
+    return np.asarray(rival & (found.log_evidence > known))
 
 
 def _branched(
@@ -369,6 +346,8 @@ def _branches(
     places = PlacePaths(
         found.mean_m,
         found.bias_m,
+        found.height2_m2,
+        found.height2_std_m2**2 if config.height_cells else np.full(len(found), -1.0),
         np.full(len(found), config.rival_log_prior) if search.rival else found.log_evidence,
         candidate,
         np.searchsorted(candidate, np.arange(len(found) + 1)),

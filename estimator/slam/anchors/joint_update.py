@@ -30,6 +30,8 @@ class PlacePaths(NamedTuple):
         Places.
     bias_m : ndarray, shape (S,)
         Clock bias at each.
+    height2_m2, height2_variance_m4 : ndarray, shape (S,)
+        Squared height at each and its variance; a negative variance leaves both as the hypothesis has them.
     log_evidence : ndarray, shape (S,)
         Log weight that each brings.
     candidate : ndarray of int64, shape (V,)
@@ -48,6 +50,8 @@ class PlacePaths(NamedTuple):
 
     place_m: Array
     bias_m: Array
+    height2_m2: Array
+    height2_variance_m4: Array
     log_evidence: Array
     candidate: Index
     begin: Index
@@ -89,6 +93,8 @@ def _moved(mean: Array, covariance: Array, where: Positions, places: PlacePaths,
     """A hypothesis's mean with the anchor at place ``s``; clocks that agree move together."""
     moved, b = mean.copy(), where.anchor + 3
     moved[where.anchor], moved[where.anchor + 1] = places.place_m[s, 0], places.place_m[s, 1]
+    if places.height2_variance_m4[s] >= 0.0:
+        moved[where.anchor + 2] = places.height2_m2[s]
     shift = places.bias_m[s] - mean[b]
     scale = max(covariance[b, b], 1e-12)
     for i in range(len(where.clocks)):
@@ -135,13 +141,20 @@ def _path_lengths(mean: Array, where: Positions, wall: Index) -> tuple[Array, In
 
 
 @compiled
-def _spread(covariance: Array, index: Index, slope: Array) -> Array:
-    """Covariance (C, C) of path lengths."""
+def _added_variance(covariance: Array, where: Positions, places: PlacePaths, s: int) -> float:
+    """What place ``s`` adds to the variance of the squared height, which depends on nothing else yet."""
+    w, variance = where.anchor + 2, places.height2_variance_m4[s]
+    return variance - covariance[w, w] if variance >= 0.0 else 0.0
+
+
+@compiled
+def _spread(covariance: Array, added: float, index: Index, slope: Array) -> Array:
+    """Covariance (C, C) of path lengths, ``added`` being the variance that the squared height has more."""
     count = len(index)
     spread = np.empty((count, count))
     for c in range(count):
         for d in range(c + 1):
-            total = 0.0
+            total = slope[c, 4] * slope[d, 4] * added
             for i in range(_PER_PATH):
                 row = 0.0
                 for j in range(_PER_PATH):
@@ -229,7 +242,8 @@ def weigh_labellings(
         weighed += end - begin
         moved = _moved(mean[r], covariance[r], where, places, s)
         length, index, slope = _path_lengths(moved, where, places.wall)
-        spread = _spread(covariance[r], index, slope)
+        added = _added_variance(covariance[r], where, places, s)
+        spread = _spread(covariance[r], added, index, slope)
         largest, total = -np.inf, 0.0
         for v in range(begin, end):
             m = _root(spread, places, v, known, root)
@@ -255,7 +269,8 @@ def updated(
         old, new, v = covariance[row[n]], new_covariance[n], child[n]
         moved = _moved(mean[row[n]], old, where, places, places.candidate[v])
         length, index, slope = _path_lengths(moved, where, places.wall)
-        m = _root(_spread(old, index, slope), places, v, known, root)
+        added, w = _added_variance(old, where, places, places.candidate[v]), where.anchor + 2
+        m = _root(_spread(old, added, index, slope), places, v, known, root)
         _log_density(length, places, v, known, m, root, white)
         for i in range(m):
             gain[i] = 0.0
@@ -263,6 +278,7 @@ def updated(
                 factor = slope[known[i], t]
                 for b in range(size):
                     gain[i, b] += factor * old[index[known[i], t], b]
+            gain[i, w] += slope[known[i], 4] * added
             for k in range(i):
                 for b in range(size):
                     gain[i, b] -= root[i, k] * gain[k, b]
@@ -273,6 +289,8 @@ def updated(
         for a in range(size):
             for b in range(a + 1):
                 new[a, b] = old[a, b]
+            if a == w:
+                new[a, a] += added
             for i in range(m):
                 factor = gain[i, a]
                 for b in range(a + 1):

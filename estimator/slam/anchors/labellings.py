@@ -54,6 +54,7 @@ def labellings(
             float(found.mean_m[s, 1]),
             float(found.bias_m[s]),
             float(found.height2_m2[s]),
+            float(found.height2_std_m2[s]),
         )
         own = labellings_at(
             place,

@@ -78,14 +78,15 @@ class Place(NamedTuple):
         Place, metres.
     bias : float
         Clock bias, metres.
-    height2 : float
-        Squared height difference, square metres.
+    height2, height2_std : float
+        Squared height difference and its standard deviation, square metres.
     """
 
     x: float
     y: float
     bias: float
     height2: float
+    height2_std: float
 
 
 class Gated(NamedTuple):
@@ -167,7 +168,10 @@ def gate_epoch(
         expected[q] = place.bias + max(np.sqrt(dx * dx + dy * dy + place.height2), 1e-6)
     for q in range(first, last):
         out.begin[q] = count
-        low_m, high_m = expected[q] - circles.reach_m[e, q], expected[q] + circles.reach_m[e, q]
+        inverse = 1.0 / (expected[q] - place.bias)
+        height_std = 0.5 * place.height2_std * inverse
+        reach = circles.reach_m[e, q] + model.gate_sigma * height_std
+        low_m, high_m = expected[q] - reach, expected[q] + reach
         low = seen.first[e, int(min(max(low_m * seen.buckets_per_m, 0.0), last_bucket))]
         while low < paths and seen.length_m[e, low] < low_m:
             low += 1
@@ -183,9 +187,9 @@ def gate_epoch(
                 low, high = low + 1, high + 1  # keep those nearest to the expected length
             else:
                 break
-        inverse = 1.0 / (expected[q] - place.bias)
         ux, uy = (place.x - x[q]) * inverse, (place.y - y[q]) * inverse
         spread = ux * (ux * circles.xx[e, q] + 2.0 * uy * circles.xy[e, q]) + uy * uy * circles.yy[e, q]
+        spread += height_std * height_std
         out.ux[q], out.uy[q] = ux, uy
         for j in range(low, high):
             residual = seen.length_m[e, j] - expected[q]

@@ -43,7 +43,7 @@ def refine(
     """
     x, y, xx, xy, yy = place.x, place.y, 0.0, 0.0, 0.0
     for _ in range(ITERATIONS):
-        at = Place(x, y, place.bias, place.height2)
+        at = Place(x, y, place.bias, place.height2, place.height2_std)
         gx, gy, xx, xy, yy = 0.0, 0.0, _FLAT, 0.0, _FLAT
         for e in range(len(circles.x)):
             if gate_epoch(at, circles, seen, e, 0, circles.x.shape[1], vrp, model, out) == 0:

@@ -2,7 +2,7 @@
 
 Every path length puts the anchor on a circle round a known centre; which one is unknown. Pairs of circles
 give seeds, each is scored by all the paths, refined, and weighed by its evidence. The cost is that of
-:class:`estimator.slam.anchors.seeds.SearchLimits`, whatever was heard.
+:class:`estimator.slam.anchors.cells.SearchLimits`, whatever was heard.
 """
 
 from __future__ import annotations
@@ -13,15 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
+from estimator.slam.anchors.cells import Cells, SearchLimits
 from estimator.slam.anchors.circles import Circles, image_circles, met_wall_pairs
 from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.anchors.evidence import weigh
 from estimator.slam.anchors.likelihood import Model, Place, model_of, room_for
 from estimator.slam.anchors.observations import NoiseModel, Observations
 from estimator.slam.anchors.refinement import refine
-from estimator.slam.anchors.seeds import Cells, SearchLimits, apart, choose_seeds
+from estimator.slam.anchors.seeds import apart, choose_seeds
 
-__all__ = ["Candidates", "Scene", "evidence_at", "find_places", "known_cell", "scene_of"]
+__all__ = ["Candidates", "Scene", "evidence_at", "find_places", "scene_of"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -67,8 +68,8 @@ class Candidates:
         How many of these features the last epoch shows for sure.
     bias_m : ndarray, shape (S,)
         Clock bias that was taken off the path lengths.
-    height2_m2 : ndarray, shape (S,)
-        Squared height difference that was assumed.
+    height2_m2, height2_std_m2 : ndarray, shape (S,)
+        Squared height difference that was assumed, and its standard deviation.
     """
 
     mean_m: Array
@@ -78,6 +79,7 @@ class Candidates:
     fresh: Index
     bias_m: Array
     height2_m2: Array
+    height2_std_m2: Array
 
     def __len__(self) -> int:
         return len(self.mean_m)
@@ -117,11 +119,6 @@ def scene_of(
     return Scene(circles, seen, vrp, model_of(circles, noise, config))
 
 
-def known_cell(bias_m: float, height2_m2: float = 0.0) -> Cells:
-    """The one cell of a known clock."""
-    return Cells(np.array([bias_m]), np.array([height2_m2]), np.zeros(1))
-
-
 def find_places(
     scene: Scene, cells: Cells, limits: SearchLimits, prune_nats: float, config: AnchorSearchConfig
 ) -> Candidates:
@@ -150,7 +147,8 @@ def find_places(
         config.seed_radius_m,
         config.touch_m2,
     )
-    start = np.stack([x, y, cells.bias_m[cell], cells.height2_m2[cell]], axis=1)
+    columns = [x, y, cells.bias_m[cell], cells.height2_m2[cell], cells.height2_std_m2[cell]]
+    start = np.stack(columns, axis=1)
     points, spread, total, matches, fresh = _settled(
         start, scene.circles, scene.seen, scene.vrp_m, scene.model
     )
@@ -161,14 +159,15 @@ def find_places(
     spot, most = np.column_stack([points, start[:, 2]]), config.start_attempts
     kept = apart(spot, order, config.place_radius_m, np.zeros(len(spot), dtype=np.int64), most, most)
     kept = kept[total[kept] > total[kept].max(initial=-np.inf) - prune_nats]
-    bias, height2 = start[kept, 2], start[kept, 3]
-    return Candidates(points[kept], spread[kept], total[kept], matches[kept], fresh[kept], bias, height2)
+    return Candidates(points[kept], spread[kept], total[kept], matches[kept], fresh[kept], *start[kept, 2:].T)
 
 
-def evidence_at(scene: Scene, points_m: Array, bias_m: float, height2_m2: float = 0.0) -> Array:
+def evidence_at(
+    scene: Scene, points_m: Array, bias_m: float, height2_m2: float = 0.0, height2_std_m2: float = 0.0
+) -> Array:
     """Log evidence (S,) of the anchor near ``points_m`` (S, 2), on the scale of :func:`find_places`."""
-    start = np.empty((len(points_m), 4))
-    start[:, :2], start[:, 2], start[:, 3] = points_m, bias_m, height2_m2
+    start = np.empty((len(points_m), 5))
+    start[:, :2], start[:, 2:] = points_m, (bias_m, height2_m2, height2_std_m2)
     return _settled(start, scene.circles, scene.seen, scene.vrp_m, scene.model)[2]
 
 
@@ -176,18 +175,18 @@ def evidence_at(scene: Scene, points_m: Array, bias_m: float, height2_m2: float 
 def _settled(
     start: Array, circles: Circles, seen: Observations, vrp: Array, model: Model
 ) -> tuple[Array, Array, Array, Index, Index]:
-    """Refined places (S, 2), their covariances, log evidence and matches, from ``start`` (S, 4)."""
+    """Refined places (S, 2), their covariances, log evidence and matches, from ``start`` (S, 5)."""
     count = len(start)
     points, spread, total = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty(count)
     matches, fresh = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
     out = room_for(circles.x.shape[1], model.max_gated)
     for s in range(count):
-        first = Place(start[s, 0], start[s, 1], start[s, 2], start[s, 3])
+        first = Place(start[s, 0], start[s, 1], start[s, 2], start[s, 3], start[s, 4])
         x, y, xx, xy, yy = refine(first, circles, seen, vrp, model, out)
         points[s, 0], points[s, 1] = x, y
         determinant = xx * yy - xy * xy
         spread[s, 0, 0], spread[s, 1, 1] = yy / determinant, xx / determinant
         spread[s, 0, 1] = spread[s, 1, 0] = -xy / determinant
-        place = Place(x, y, first.bias, first.height2)
+        place = Place(x, y, first.bias, first.height2, first.height2_std)
         total[s], matches[s], fresh[s] = weigh(place, (xx, xy, yy), circles, seen, vrp, model, out)
     return points, spread, total, matches, fresh

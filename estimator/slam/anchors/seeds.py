@@ -6,61 +6,20 @@ circles of up to one bounce; ``scored`` of them against all circles; ``refined``
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
+from estimator.slam.anchors.cells import Cells, SearchLimits
 from estimator.slam.anchors.circles import Circles, intersect
 from estimator.slam.anchors.likelihood import Model, Place, gate_epoch, is_behind, room_for
 from estimator.slam.anchors.observations import Observations
 
-__all__ = ["Cells", "SearchLimits", "apart", "choose_seeds", "paired"]
+__all__ = ["apart", "choose_seeds", "paired"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 _SHORTEST_M = 1e-3  # numerical floor of a radius, whatever the clock says
-
-
-class Cells(NamedTuple):
-    """The clock biases and squared heights that a search tries, G of them.
-
-    Parameters
-    ----------
-    bias_m, height2_m2 : ndarray, shape (G,)
-        Clock bias, metres, and squared height difference, square metres.
-    log_prior : ndarray, shape (G,)
-        Log prior probability.
-    """
-
-    bias_m: Array
-    height2_m2: Array
-    log_prior: Array
-
-
-class SearchLimits(NamedTuple):
-    """What a search may cost: see :class:`AnchorSearchConfig`.
-
-    Parameters
-    ----------
-    pairs, pairs_in_all : int
-        Pairs of circles that are intersected, of one cell and of all.
-    paired_circles, paired_paths : int
-        Circles and paths of which pairs are made at least.
-    scored : int
-        Intersections that are scored with double bounces.
-    refined, refined_in_all : int
-        Intersections that are chosen, of one cell and of all.
-    """
-
-    pairs: int
-    pairs_in_all: int
-    paired_circles: int
-    paired_paths: int
-    scored: int
-    refined: int
-    refined_in_all: int
 
 
 def choose_seeds(
@@ -177,7 +136,8 @@ def _add_scores(
         silent[q] = np.log1p(-model.visibility[q] * model.detection_probability)
         nothing += silent[q]
     for s in range(len(px)):
-        place = Place(px[s], py[s], cells.bias_m[cell[s]], cells.height2_m2[cell[s]])
+        g = cell[s]
+        place = Place(px[s], py[s], cells.bias_m[g], cells.height2_m2[g], cells.height2_std_m2[g])
         total = nothing
         for q in range(max(first, 1), min(last, 1 + circles.walls)):
             if is_behind(px[s], py[s], vrp[q - 1, 0], vrp[q - 1, 1]):

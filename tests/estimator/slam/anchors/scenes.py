@@ -1,4 +1,4 @@
-"""A few walls, an anchor and the lengths of its paths, by mirroring the anchor (the search mirrors the agent)."""
+"""A few walls and the paths of an anchor: the anchor is mirrored, where the search mirrors the agent."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def observed(
     height2: float = 0.0,
     walls: np.ndarray = WALLS,
 ) -> Observations:
-    """The paths of an anchor at some positions of the agent, without noise, and clutter of the given lengths."""
+    """The paths of an anchor at some positions of the agent, without noise, and clutter of given lengths."""
     epochs = []
     for agent in np.array(agents):
         length = np.sqrt(path_lengths(anchor, agent, walls) ** 2 + height2) + bias

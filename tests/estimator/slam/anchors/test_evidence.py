@@ -1,4 +1,4 @@
-"""The log evidence of a place: associations, silence over epochs, walls between, and the integral over places."""
+"""The log evidence of a place: associations, silence over epochs, walls, the integral over places."""
 
 from __future__ import annotations
 
@@ -93,13 +93,13 @@ def test_an_anchor_is_rather_in_this_room_than_behind_its_walls():
 
 
 def test_the_evidence_is_the_likelihood_integrated_over_places():
-    """Evidence weighs an anchor's places against waiting: an error of its scale starts anchors from clutter."""
+    """Evidence weighs places against waiting: an error of its scale starts anchors from clutter."""
     given = scene(observed([(0.0, 0.0)]), spread=SPREAD)
     circles, model = given.circles, given.model
     out = room_for(circles.x.shape[1], model.max_gated)
     side, likelihood = np.linspace(-1.2, 1.2, 121), 0.0
     for dx, dy in product(side, side):
-        place = Place(ANCHOR[0] + dx, ANCHOR[1] + dy, 0.0, 0.0)
+        place = Place(ANCHOR[0] + dx, ANCHOR[1] + dy, 0.0, 0.0, 0.0)
         gate_epoch(place, circles, given.seen, 0, 0, circles.x.shape[1], WALLS, model, out)
         odds = np.zeros((circles.x.shape[1], 5))
         for q in range(len(odds)):
@@ -121,7 +121,7 @@ def test_epochs_agree_on_what_is_visible():
     for agent in agents[1:]:
         given = scene(observed([agent]))
         circles, out = given.circles, room_for(17, given.model.max_gated)
-        gate_epoch(Place(*ANCHOR, 0.0, 0.0), circles, given.seen, 0, 0, 5, WALLS, given.model, out)
+        gate_epoch(Place(*ANCHOR, 0.0, 0.0, 0.0), circles, given.seen, 0, 0, 5, WALLS, given.model, out)
         heard = [out.relative[out.begin[q] : out.begin[q + 1]].sum() for q in range(5)]
         per_epoch.append(np.sum(np.log(1.0 - chance + chance * np.array(heard))))
     # two further epochs of five features known to be visible, of a place known better, and of silent pairs

@@ -93,7 +93,9 @@ def heard_at(anchors, epochs: int, bias: float = 0.0) -> list[list[np.ndarray]]:
 def found_at(place, matches: int, evidence: float) -> Candidates:
     """One candidate."""
     count, zero = np.array([matches]), np.zeros(1)
-    return Candidates(np.array(place)[None], np.eye(2)[None], np.array([evidence]), count, count, zero, zero)
+    return Candidates(
+        np.array(place)[None], np.eye(2)[None], np.array([evidence]), count, count, zero, zero, zero
+    )
 
 
 def test_anchors_start_where_they_are():
@@ -115,6 +117,19 @@ def test_a_common_clock_bias_is_found_with_the_place():
     assert after.located[after.best].all()
     np.testing.assert_allclose(after.mean[after.best, layout.anchor_xy(0)], ANCHOR, atol=0.5)
     assert after.mean[after.best, layout.bias(0)] == pytest.approx(4.0, abs=0.5)
+
+
+def test_a_height_is_found_with_the_place():
+    """An antenna 4 m up: distances in the plane put the anchor elsewhere, or nowhere."""
+    layout = Layout(1, 4)
+    before = hypotheses_of(layout, WALLS)
+    slant = [[np.sqrt(own**2 + 16.0) for own in epoch] for epoch in heard_at([ANCHOR], 3)]
+    search = replace(SEARCH, height_cells=8)
+    after = locate_anchors(before, given_paths(layout, slant), search)
+    assert after.located[after.best].all()
+    np.testing.assert_allclose(after.mean[after.best, layout.anchor_xy(0)], ANCHOR, atol=0.3)
+    height2, spread = after.mean[after.best, layout.height2(0)], after.covariance[after.best]
+    assert abs(height2 - 16.0) < 3.0 * np.sqrt(spread[layout.height2(0), layout.height2(0)])
 
 
 def test_what_is_not_heard_waits():
@@ -152,6 +167,7 @@ def test_a_place_has_to_beat_those_that_explain_too_little(monkeypatch):
             np.array([5, 2]),
             np.zeros(2),
             np.zeros(2),
+            np.zeros(2),
         )
         monkeypatch.setattr(initialise, "find_places", lambda *_, places=places: places)
         after = locate_anchors(before, given_paths(layout, heard_at([ANCHOR], 9)), SEARCH)
@@ -178,7 +194,7 @@ def test_an_anchor_that_explains_nothing_is_searched_again():
 
 
 def test_an_anchor_is_not_taken_for_its_own_image():
-    """Its images behind walls explain much, too, and open no rivals; nor does what is explained get searched."""
+    """Its images behind walls explain much, too, and open no rivals; what is explained is not searched."""
     image = mirrored(mirrored(OTHER, WALLS[0]), WALLS[1])
     before, given = doubting(image)
     after = locate_anchors(before, given, SEARCH)
@@ -261,7 +277,7 @@ def seconds(anchors: int, walls: int, paths: int, clock_std: float = 0.0, hypoth
 
 
 def test_no_epoch_costs_more_than_a_bounded_multiple_of_an_ordinary_one():
-    """Sixteen anchors, twenty walls, two hundred paths, unknown clocks: tens of ordinary searches, not thousands."""
+    """Sixteen anchors, twenty walls, two hundred paths, unknown clocks: tens of ordinary searches."""
     ordinary = seconds(1, 4, 10)
     assert seconds(16, 20, 200) < 150.0 * ordinary
     assert seconds(16, 20, 200, hypotheses=60) < 150.0 * ordinary

@@ -56,6 +56,8 @@ def places() -> PlacePaths:
     return PlacePaths(
         np.array([ANCHOR, [9.0, -5.0]]),
         np.array([0.2, 0.9]),
+        np.array([9.0, 4.0]),
+        np.array([-1.0, 3.0]),
         np.array([3.0, 2.0]),
         np.array([0, 0, 0, 1, 1]),
         np.array([0, 3, 5]),
@@ -68,7 +70,7 @@ def places() -> PlacePaths:
 
 
 def length_of(mean: np.ndarray, wall: int) -> complex:
-    """The path of anchor 1 over a wall, or none: mirrored by the definition of a mirror, complex step safe."""
+    """The path of anchor 1 over a wall or none, in complex numbers too."""
     source, height2, bias = mean[LAYOUT.anchor_xy(1)], mean[LAYOUT.height2(1)], mean[LAYOUT.bias(1)]
     if wall >= 0:
         vrp = mean[LAYOUT.wall(wall)]
@@ -84,6 +86,10 @@ def dense(base: Hypotheses, r: int, v: int, std: float = 10.0):
     shift, b = given.bias_m[s] - mean[LAYOUT.bias(1)], LAYOUT.bias(1)
     mean[LAYOUT.bias(0)] += covariance[LAYOUT.bias(0), b] / covariance[b, b] * shift
     mean[b] += shift
+    if given.height2_variance_m4[s] >= 0.0:
+        mean[LAYOUT.height2(1)] = given.height2_m2[s]
+        w = LAYOUT.height2(1)
+        covariance[w, w] = given.height2_variance_m4[s]
     mean[xy], covariance[xy, xy] = given.place_m[s], std**2 * np.eye(2)
     known = [(int(given.wall[c]), j) for c, j in enumerate(given.label[v].tolist()) if j >= 0]
     if not known:
@@ -104,11 +110,11 @@ def dense(base: Hypotheses, r: int, v: int, std: float = 10.0):
     return mean + gain @ innovation, covariance - gain @ jacobian @ covariance, log_density
 
 
-def branched(base: Hypotheses, limits: BranchLimits = WIDE, members=None) -> Hypotheses:
+def branched(base: Hypotheses, limits: BranchLimits = WIDE, given: PlacePaths | None = None) -> Hypotheses:
     """The children of hypotheses that locate anchor 1."""
-    members = np.arange(len(base.log_weight)) if members is None else members
+    members, given = np.arange(base.number), places() if given is None else given
     fresh = np.linspace(0.1, 0.9, LAYOUT.features)
-    return branch_hypotheses(base, members, LAYOUT, 1, places(), 10.0, (1.0, 2.0), fresh, limits)
+    return branch_hypotheses(base, members, LAYOUT, 1, given, 10.0, (1.0, 2.0), fresh, limits)
 
 
 def test_children_are_those_of_a_dense_kalman_filter():
@@ -143,10 +149,14 @@ def test_what_was_known_of_a_place_goes_with_it():
     base = hypotheses(located=True)
     children = branched(base)
     xy, w = LAYOUT.anchor_xy(1), LAYOUT.height2(1)
-    silent = int(np.argmin(np.abs(children.covariance[:, xy, xy][:, 0, 0] - 100.0)))
-    assert children.covariance[silent, w, w] == pytest.approx(4.0)
-    assert children.mean[silent, w] == pytest.approx(1.0)
+    silent = int(np.argmin(np.abs(children.covariance[:, xy, xy][:, 0, 0] - 100.0)))  # no path is labelled
+    assert children.covariance[silent, w, w] == pytest.approx(3.0)  # as the place says
+    assert children.mean[silent, w] == pytest.approx(4.0)
     assert not children.covariance[silent, xy.start, xy.stop :].any()
+    planar = branched(base, given=places()._replace(height2_variance_m4=np.full(2, -1.0)))
+    silent = int(np.argmin(np.abs(planar.covariance[:, xy, xy][:, 0, 0] - 100.0)))
+    assert planar.covariance[silent, w, w] == pytest.approx(4.0)  # as the prior says
+    assert planar.mean[silent, w] == pytest.approx(1.0)
 
 
 def test_clocks_that_agree_move_together():

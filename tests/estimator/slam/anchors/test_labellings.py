@@ -37,7 +37,7 @@ def test_branch_and_bound_finds_the_best_of_all(seed):
     expected = path_lengths(ANCHOR, np.zeros(2))
     length = np.concatenate([expected + rng.normal(0.0, 0.8, 5), rng.uniform(5.0, 60.0, 6)])
     every = enumerated(expected, np.ones(5, dtype=bool), length)
-    place = Place(*ANCHOR, 0.0, 0.0)
+    place = Place(*ANCHOR, 0.0, 0.0, 0.0)
     found = labellings_at(place, given.circles, WALLS, length, 3.0, 1.2, 10_000, 1_000_000)
     assert {tuple(row) for row in found.tolist()} == set(every)
     costs = [every[tuple(row)] for row in found.tolist()]
@@ -51,15 +51,15 @@ def test_no_label_over_a_wall_from_behind_it():
     behind = mirrored(ANCHOR, WALLS[0])
     given = scene(observed([(0.0, 0.0)]))
     length = path_lengths(behind, np.zeros(2))
-    found = labellings_at(Place(*behind, 0.0, 0.0), given.circles, WALLS, length, 3.0, 1.2, 24, 10_000)
+    found = labellings_at(Place(*behind, 0.0, 0.0, 0.0), given.circles, WALLS, length, 3.0, 1.2, 24, 10_000)
     assert np.all(found[:, 1] == -1)
 
 
 def test_few_nodes_still_give_a_labelling():
-    """Two hundred paths of one length make labellings without number: the time is bounded, the result is not empty."""
+    """Two hundred paths of one length make labellings without number: a bounded time finds something."""
     given = scene(observed([(0.0, 0.0)]))
     length = np.linalg.norm(ANCHOR) + np.linspace(-2.0, 2.0, 200)
-    found = labellings_at(Place(*ANCHOR, 0.0, 0.0), given.circles, WALLS, length, 3.0, 1.2, 24, 10)
+    found = labellings_at(Place(*ANCHOR, 0.0, 0.0, 0.0), given.circles, WALLS, length, 3.0, 1.2, 24, 10)
     assert len(found) >= 1
     assert found[0, 0] >= 0
 
@@ -70,7 +70,7 @@ def test_paths_of_similar_length_get_both_labels():
     expected = path_lengths(ANCHOR, np.zeros(2))
     length = np.array([expected[0], expected[1] - 0.4, expected[1] + 0.3, 150.0])
     zero, one = np.zeros(1), np.ones(1, dtype=np.int64)
-    found = Candidates(ANCHOR[None], np.eye(2)[None], zero, one, one, zero, zero)
+    found = Candidates(ANCHOR[None], np.eye(2)[None], zero, one, one, zero, zero, zero)
     candidate, label = labellings(found, given, length, 10_000, SEARCH)
     chosen = {tuple(row) for row in label[:, :2].tolist()}
     assert set(candidate.tolist()) == {0}

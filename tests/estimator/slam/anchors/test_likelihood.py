@@ -44,7 +44,7 @@ def test_the_table_finds_what_a_search_of_all_pairs_finds(seed, height2):
     ratio = rng.uniform(0.5, 3.0, 30)
     seen = gathered(rng.uniform(-1.0, 1.0, (1, 2)), np.array([0.3]), [(lengths, variance, ratio)])
     given = scene_of(seen, WALLS, 10.0 * SPREAD, NOISE, replace(SEARCH, max_gated=30))
-    place = Place(*rng.uniform(-10.0, 10.0, 2), 0.7, height2)
+    place = Place(*rng.uniform(-10.0, 10.0, 2), 0.7, height2, 0.5 * height2)
     order = np.argsort(lengths)
     found = gated(given, place)
     total = 0
@@ -54,6 +54,7 @@ def test_the_table_finds_what_a_search_of_all_pairs_finds(seed, height2):
         slant = np.sqrt(offset @ offset + height2)
         spread = offset @ [[c.xx[0, q], c.xy[0, q]], [c.xy[0, q], c.yy[0, q]]] @ offset / slant**2
         total_variance = spread + variance[order]
+        total_variance = total_variance + (0.25 * height2 / slant) ** 2
         square = (lengths[order] - slant - 0.7) ** 2 / total_variance
         expected = {}
         for j in np.flatnonzero(square < 16.0):
@@ -69,7 +70,7 @@ def test_of_many_paths_the_nearest_are_compared():
     length = np.linalg.norm(ANCHOR)
     crowd = length + np.linspace(-0.3, 0.3, 101)
     seen = gathered(np.zeros((1, 2)), np.array([0.01]), [(crowd, np.full(101, 0.01), np.ones(101))])
-    pairs = gated(scene(seen), Place(*ANCHOR, 0.0, 0.0), 0, 1)[0]
+    pairs = gated(scene(seen), Place(*ANCHOR, 0.0, 0.0, 0.0), 0, 1)[0]
     nearest = np.argsort(np.abs(crowd - length), kind="stable")[: SEARCH.max_gated]
     gap = np.abs(crowd[[j for j, _ in pairs]] - length)
     assert len(pairs) == SEARCH.max_gated
@@ -81,7 +82,7 @@ def test_nothing_is_heard_over_a_wall_from_behind_it():
     behind = mirrored(ANCHOR, WALLS[0])
     given = scene(observed([(0.0, 0.0)], anchor=behind))
     assert is_behind(*behind, *WALLS[0])
-    assert gated(given, Place(*behind, 0.0, 0.0))[1] == []
-    assert gated(given, Place(*behind, 0.0, 0.0))[0]
+    assert gated(given, Place(*behind, 0.0, 0.0, 0.0))[1] == []
+    assert gated(given, Place(*behind, 0.0, 0.0, 0.0))[0]
     assert walls_between(*behind, WALLS) == 1
     assert walls_between(*ANCHOR, WALLS) == 0

@@ -53,7 +53,7 @@ def found_at(place, matches, evidence):
     """One candidate."""
     count = np.array([matches])
     zero = np.zeros(1)
-    return Candidates(place, np.eye(2)[None], np.array([evidence]), count, count, zero, zero)
+    return Candidates(place, np.eye(2)[None], np.array([evidence]), count, count, zero, zero, zero)
 
 
 @pytest.mark.parametrize("epochs", [1, 2, 6])

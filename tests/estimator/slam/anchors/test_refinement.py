@@ -21,7 +21,7 @@ def refined(given, place):
 def test_it_ends_at_the_place_that_gave_the_paths():
     """A sign or a factor wrong in the step would end elsewhere, or nowhere."""
     given = scene(observed([(0.0, 0.0), (2.0, 1.0)], bias=1.0, height2=9.0))
-    place, _ = refined(given, Place(ANCHOR[0] + 0.2, ANCHOR[1] - 0.15, 1.0, 9.0))
+    place, _ = refined(given, Place(ANCHOR[0] + 0.2, ANCHOR[1] - 0.15, 1.0, 9.0, 0.0))
     np.testing.assert_allclose(place, ANCHOR, atol=1e-4)
 
 
@@ -38,7 +38,7 @@ def test_it_is_the_weighted_least_squares_solution_and_its_information():
         return (path_lengths(place, agent) - lengths) / np.sqrt(variance + spread)
 
     best = least_squares(residual, ANCHOR, xtol=1e-14, ftol=1e-14)
-    place, information = refined(given, Place(*ANCHOR, 0.0, 0.0))
+    place, information = refined(given, Place(*ANCHOR, 0.0, 0.0, 0.0))
     np.testing.assert_allclose(place, best.x, atol=0.01)  # weights are those of associations, near one
     np.testing.assert_allclose(information, best.jac.T @ best.jac, rtol=0.06)
 
@@ -46,7 +46,7 @@ def test_it_is_the_weighted_least_squares_solution_and_its_information():
 def test_without_paths_nothing_moves():
     """A place that nothing tells must stay, with next to no information."""
     place, information = refined(
-        scene(observed([(0.0, 0.0)], anchor=np.array([400.0, 300.0]))), Place(1.0, 2.0, 0.0, 0.0)
+        scene(observed([(0.0, 0.0)], anchor=np.array([400.0, 300.0]))), Place(1.0, 2.0, 0.0, 0.0, 0.0)
     )
     np.testing.assert_allclose(place, [1.0, 2.0])
     assert np.trace(information) < 1e-3

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.slam.anchors.search import evidence_at, find_places, known_cell, scene_of
-from estimator.slam.anchors.seeds import Cells, SearchLimits
+from estimator.slam.anchors.cells import Cells, SearchLimits, known_cell
+from estimator.slam.anchors.search import evidence_at, find_places, scene_of
 from tests.estimator.slam.anchors.scenes import ANCHOR, NOISE, SEARCH, SPREAD, WALLS, observed, scene
 
 LIMITS = SearchLimits(20_000, 80_000, 5, 12, 1000, 60, 600)
@@ -32,7 +32,7 @@ def test_the_anchor_is_the_best_place(anchor):
 def test_an_unknown_clock_is_found_with_the_place():
     """On a grid of biases, with the error that the grid leaves in the lengths."""
     shift = np.arange(-15.0, 16.0)
-    cells = Cells(shift, np.zeros(31), np.full(31, -np.log(31.0)))
+    cells = Cells(shift, np.zeros(31), np.zeros(31), np.full(31, -np.log(31.0)))
     given = scene_of(observed(AGENTS, bias=4.3), WALLS, SPREAD, NOISE, SEARCH, 1.0 / 12.0)
     result = found(given, cells)
     assert result.bias_m[0] == 4.0

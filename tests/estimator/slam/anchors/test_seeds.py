@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.slam.anchors.search import known_cell
-from estimator.slam.anchors.seeds import Cells, SearchLimits, apart, choose_seeds, paired
+from estimator.slam.anchors.cells import Cells, SearchLimits, known_cell
+from estimator.slam.anchors.seeds import apart, choose_seeds, paired
 from tests.estimator.slam.anchors.scenes import ANCHOR, observed, scene
 
 LIMITS = SearchLimits(20_000, 80_000, 5, 12, 1000, 60, 600)
@@ -29,7 +29,7 @@ def test_the_place_where_all_circles_meet_is_a_seed():
 def test_only_the_right_clock_bias_and_height_give_the_place():
     """Circles of a wrong radius meet where the anchor is not."""
     given = scene(observed([(0.0, 0.0)], bias=3.0, height2=25.0))
-    cells = Cells(np.array([0.0, 3.0, 3.0]), np.array([25.0, 0.0, 25.0]), np.zeros(3))
+    cells = Cells(np.array([0.0, 3.0, 3.0]), np.array([25.0, 0.0, 25.0]), np.zeros(3), np.zeros(3))
     points, cell = seeds(given, cells)
     gap = np.linalg.norm(points - ANCHOR, axis=1)
     assert cell[np.argmin(gap)] == 2
@@ -40,7 +40,7 @@ def test_only_the_right_clock_bias_and_height_give_the_place():
 def test_seeds_of_one_cell_are_apart_and_those_of_two_need_not_be():
     """Near-copies would take the room of other places; another clock is another place."""
     given = scene(observed([(0.0, 0.0)], extra=(33.3, 71.0)))
-    points, cell = seeds(given, Cells(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2)))
+    points, cell = seeds(given, Cells(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2)))
     for own in (0, 1):
         mine = points[cell == own]
         gap = np.linalg.norm(mine[:, None] - mine, axis=-1) + 9.0 * np.eye(len(mine))
@@ -50,7 +50,7 @@ def test_seeds_of_one_cell_are_apart_and_those_of_two_need_not_be():
 def test_a_likelier_cell_comes_first():
     """The prior of clock and height decides between places that fit equally."""
     given = scene(observed([(0.0, 0.0)]))
-    _, cell = seeds(given, Cells(np.zeros(2), np.zeros(2), np.array([-5.0, 0.0])))
+    _, cell = seeds(given, Cells(np.zeros(2), np.zeros(2), np.zeros(2), np.array([-5.0, 0.0])))
     assert cell[0] == 1
 
 
@@ -85,7 +85,9 @@ def test_fewer_are_scored_and_refined_if_so_told():
     points, _ = seeds(given, limits=LIMITS._replace(scored=7, refined=5))
     assert len(points) <= 5
     points, cell = seeds(
-        given, Cells(np.arange(4.0), np.zeros(4), np.zeros(4)), LIMITS._replace(refined=5, refined_in_all=12)
+        given,
+        Cells(np.arange(4.0), np.zeros(4), np.zeros(4), np.zeros(4)),
+        LIMITS._replace(refined=5, refined_in_all=12),
     )
     assert len(points) <= 12
     assert np.bincount(cell).max() <= 5
