@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from estimator.slam.anchors.joint_update import (
     BranchLimits,
     PlacePaths,
-    Positions,
     updated,
     weigh_labellings,
 )
@@ -80,10 +79,8 @@ def branch_hypotheses(
         base.covariance[:, :, known] = 0.0
         base.mean[:, w], base.covariance[:, w, w] = height2[0], height2[1] ** 2
     base.covariance[:, xy, xy] = anchor_std_m**2 * np.eye(2)
-    clocks = np.array([layout.bias(j) for j in range(layout.anchors)])
-    where = Positions(xy.start, clocks, layout.walls.start)
-    row, child, weight = _children(base, where, places, float(hypotheses.log_weight.max()), limits)
-    mean, covariance = updated(base.mean, base.covariance, where, places, row, child)
+    row, child, weight = _children(base, layout, anchor, places, float(hypotheses.log_weight.max()), limits)
+    mean, covariance = updated(layout, anchor, base.mean, base.covariance, places, row, child)
     new = base._replace(covariance=base.covariance[:, :0, :0]).take(row)  # the covariances are made already
     new.located[:, anchor] = True
     new.visibility[:, anchor] = fresh_visibility
@@ -91,13 +88,15 @@ def branch_hypotheses(
 
 
 def _children(
-    base: Hypotheses, where: Positions, places: PlacePaths, best: float, limits: BranchLimits
+    base: Hypotheses, layout: Layout, anchor: int, places: PlacePaths, best: float, limits: BranchLimits
 ) -> tuple[Index, Index, Array]:
     """Hypothesis, labelling and log weight of the children that are made, the likeliest first."""
     bound = base.log_weight[:, None] + places.log_evidence
     order = np.argsort(-bound, axis=None, kind="stable")
     weight = np.full((base.number, len(places.label)), -np.inf)
-    weigh_labellings(base.log_weight, base.mean, base.covariance, where, places, order, best, limits, weight)
+    weigh_labellings(
+        layout, anchor, base.log_weight, base.mean, base.covariance, places, order, best, limits, weight
+    )
     row, child = np.nonzero(weight > max(best, float(weight.max(initial=-np.inf))) - limits.prune_nats)
     made = weight[row, child]
     chosen = np.argsort(-made, kind="stable")[: limits.max_branches]

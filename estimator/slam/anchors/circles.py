@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
+from estimator.slam.models.features import mirror
 
 __all__ = ["Circles", "image_circles", "intersect", "met_wall_pairs"]
 
@@ -42,13 +43,6 @@ class Circles(NamedTuple):
     yy: Array
     reach_m: Array
     walls: int
-
-
-@compiled
-def _mirrored(x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
-    """Image of a point in the wall of a VRP, RP at the origin (equation (2))."""
-    scale = 1.0 - 2.0 * (x * vx + y * vy) / (vx * vx + vy * vy)
-    return x + scale * vx, y + scale * vy
 
 
 @compiled
@@ -86,13 +80,13 @@ def image_circles(
         x[e, 0], y[e, 0] = position[e, 0], position[e, 1]
         xx[e, 0], xy[e, 0], yy[e, 0] = variance[e], 0.0, variance[e]
         for w in range(walls):
-            x[e, 1 + w], y[e, 1 + w] = _mirrored(position[e, 0], position[e, 1], vrp[w, 0], vrp[w, 1])
+            x[e, 1 + w], y[e, 1 + w] = mirror(position[e, 0], position[e, 1], vrp[w, 0], vrp[w, 1])
             xx[e, 1 + w] = variance[e] + vrp_covariance[w, 0, 0]
             xy[e, 1 + w] = vrp_covariance[w, 0, 1]
             yy[e, 1 + w] = variance[e] + vrp_covariance[w, 1, 1]
         for p in range(len(pairs)):
             near, far, q = pairs[p, 0], pairs[p, 1], 1 + walls + p
-            x[e, q], y[e, q] = _mirrored(x[e, 1 + far], y[e, 1 + far], vrp[near, 0], vrp[near, 1])
+            x[e, q], y[e, q] = mirror(x[e, 1 + far], y[e, 1 + far], vrp[near, 0], vrp[near, 1])
             xx[e, q] = xx[e, 1 + near] + vrp_covariance[far, 0, 0]
             xy[e, q] = xy[e, 1 + near] + vrp_covariance[far, 0, 1]
             yy[e, q] = yy[e, 1 + near] + vrp_covariance[far, 1, 1]

@@ -6,19 +6,22 @@ update n^2 m / 2 for n state variables.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
+from estimator.slam.models.features import mirror
+from estimator.slam.models.path_lengths import length_gradient
+from estimator.slam.models.state_vector import FIRST_ANCHOR, PER_ANCHOR, Layout
 
-__all__ = ["BranchLimits", "PlacePaths", "Positions", "updated", "weigh_labellings"]
+__all__ = ["BranchLimits", "PlacePaths", "updated", "weigh_labellings"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-_LOG_2PI = float(np.log(2.0 * np.pi))
-_PER_PATH = 8  # state variables that a path over one bounce depends on
+_LOG_2PI: Final = float(np.log(2.0 * np.pi))
+_PER_PATH: Final = 8  # state variables that a path over one bounce depends on
 
 
 class PlacePaths(NamedTuple):
@@ -80,81 +83,59 @@ class BranchLimits(NamedTuple):
     max_branches: int
 
 
-class Positions(NamedTuple):
-    """Positions in the state vector: the anchor's x, y, w, b, all clocks' b, and the first wall."""
-
-    anchor: int
-    clocks: Index
-    walls: int
-
-
 @compiled
-def _moved(mean: Array, covariance: Array, where: Positions, places: PlacePaths, s: int) -> Array:
-    """A hypothesis's mean with the anchor at place ``s``; clocks that agree move together."""
-    moved, b = mean.copy(), where.anchor + 3
-    moved[where.anchor], moved[where.anchor + 1] = places.place_m[s, 0], places.place_m[s, 1]
+def _moved(layout: Layout, k: int, mean: Array, covariance: Array, places: PlacePaths, s: int) -> Array:
+    """A hypothesis's mean with anchor ``k`` at place ``s``; clocks that agree move together."""
+    moved, a = mean.copy(), FIRST_ANCHOR + PER_ANCHOR * k
+    moved[a], moved[a + 1] = places.place_m[s, 0], places.place_m[s, 1]
     if places.height2_variance_m4[s] >= 0.0:
-        moved[where.anchor + 2] = places.height2_m2[s]
-    shift = places.bias_m[s] - mean[b]
-    scale = max(covariance[b, b], 1e-12)
-    for i in range(len(where.clocks)):
-        other = where.clocks[i]
-        moved[other] += shift if other == b else covariance[other, b] / scale * shift
+        moved[a + 2] = places.height2_m2[s]
+    shift, scale = places.bias_m[s] - mean[a + 3], max(covariance[a + 3, a + 3], 1e-12)
+    for other in range(layout.anchors):
+        b = FIRST_ANCHOR + PER_ANCHOR * other + 3
+        moved[b] += shift if other == k else covariance[b, a + 3] / scale * shift
     return moved
 
 
 @compiled
-def _path_lengths(mean: Array, where: Positions, wall: Index) -> tuple[Array, Index, Array]:
-    """Lengths (C,) of paths over each wall or none, the variables (C, 8) they depend on, and derivatives."""
-    count, a = len(wall), where.anchor
-    length, index, slope = (
-        np.empty(count),
-        np.zeros((count, _PER_PATH), dtype=np.int64),
-        np.zeros((count, _PER_PATH)),
-    )
-    x, y, ax, ay, height2 = mean[0], mean[1], mean[a], mean[a + 1], mean[a + 2]
+def _path_lengths(layout: Layout, k: int, mean: Array, wall: Index) -> tuple[Array, Index, Array, Array]:
+    """Lengths (C,) of paths of anchor ``k`` over each wall or none, and their derivatives.
+
+    These are the variables (C, 8) that they depend on, the derivatives by these, and those (C,) by the
+    squared height.
+    """
+    count, a = len(wall), FIRST_ANCHOR + PER_ANCHOR * k
+    length, by_height = np.empty(count), np.empty(count)
+    index, slope = np.zeros((count, _PER_PATH), dtype=np.int64), np.zeros((count, _PER_PATH))
+    source = np.zeros((layout.anchors, 1 + layout.slots, 2))
+    source[k, 0, 0], source[k, 0, 1] = mean[a], mean[a + 1]
     for c in range(count):
-        index[c, 0], index[c, 1] = 0, 1
-        for i in range(4):
-            index[c, 2 + i] = a + i
-        vx, vy, sx, sy, scale, size = 0.0, 0.0, ax, ay, 0.0, 1.0
-        if wall[c] >= 0:
-            v = where.walls + 2 * wall[c]
-            index[c, 6], index[c, 7] = v, v + 1
-            vx, vy = mean[v], mean[v + 1]
-            size = vx * vx + vy * vy
-            scale = (ax * vx + ay * vy) / size
-            sx, sy = ax + (1.0 - 2.0 * scale) * vx, ay + (1.0 - 2.0 * scale) * vy
-        dx, dy = x - sx, y - sy
-        flat = np.sqrt(max(dx * dx + dy * dy + height2, 1e-6))
-        ux, uy = dx / flat, dy / flat
-        along = ux * vx + uy * vy
-        length[c] = flat + mean[a + 3]
-        slope[c, 0], slope[c, 1] = ux, uy
-        slope[c, 2] = -(ux - 2.0 * along / size * vx)
-        slope[c, 3] = -(uy - 2.0 * along / size * vy)
-        slope[c, 4], slope[c, 5] = 0.5 / flat, 1.0
-        if wall[c] >= 0:
-            slope[c, 6] = 2.0 * along * (ax - 2.0 * scale * vx) / size - (1.0 - 2.0 * scale) * ux
-            slope[c, 7] = 2.0 * along * (ay - 2.0 * scale * vy) / size - (1.0 - 2.0 * scale) * uy
-    return length, index, slope
+        f = 1 + wall[c]
+        if f > 0:
+            v = FIRST_ANCHOR + PER_ANCHOR * layout.anchors + 2 * wall[c]
+            source[k, f, 0], source[k, f, 1] = mirror(mean[a], mean[a + 1], mean[v], mean[v + 1])
+        dx, dy = mean[0] - source[k, f, 0], mean[1] - source[k, f, 1]
+        slanted = np.sqrt(max(dx * dx + dy * dy + mean[a + 2], 1e-6))
+        length[c], by_height[c] = slanted + mean[a + 3], 0.5 / slanted
+        length_gradient(layout, mean, source, k, f, slanted, index[c], slope[c])
+    return length, index, slope, by_height
 
 
 @compiled
-def _added_variance(covariance: Array, where: Positions, places: PlacePaths, s: int) -> float:
+def _added_variance(k: int, covariance: Array, places: PlacePaths, s: int) -> float:
     """What place ``s`` adds to the variance of the squared height, which depends on nothing else yet."""
-    w, variance = where.anchor + 2, places.height2_variance_m4[s]
+    w, variance = FIRST_ANCHOR + PER_ANCHOR * k + 2, places.height2_variance_m4[s]
     return variance - covariance[w, w] if variance >= 0.0 else 0.0
 
 
 @compiled
-def _spread(covariance: Array, added: float, index: Index, slope: Array) -> Array:
+def _spread(covariance: Array, index: Index, slope: Array, by_height: Array, added: float) -> Array:
     """Covariance (C, C) of path lengths, ``added`` being the variance that the squared height has more."""
     count = len(index)
     spread = np.empty((count, count))
     for c in range(count):
         for d in range(c + 1):
-            total = slope[c, 4] * slope[d, 4] * added
+            total = by_height[c] * by_height[d] * added
             for i in range(_PER_PATH):
                 row = 0.0
                 for j in range(_PER_PATH):
@@ -203,10 +184,11 @@ def _log_density(
 
 @compiled
 def weigh_labellings(
+    layout: Layout,
+    k: int,
     log_weight: Array,
     mean: Array,
     covariance: Array,
-    where: Positions,
     places: PlacePaths,
     order: Index,
     best: float,
@@ -217,10 +199,14 @@ def weigh_labellings(
 
     Parameters
     ----------
+    layout : Layout
+        Positions in the state vector.
+    k : int
+        The anchor.
     log_weight, mean, covariance : ndarray, shapes (R,), (R, n), (R, n, n)
         Hypotheses.
-    where, places : Positions, PlacePaths
-        Positions in the state vector; places, paths and labellings.
+    places : PlacePaths
+        Places, paths and labellings.
     order : ndarray of int64, shape (R * S,)
         Number ``r * S + s`` of each hypothesis and place, the likeliest first.
     best : float
@@ -240,10 +226,10 @@ def weigh_labellings(
         if bound <= best - limits.prune_nats or (i > 0 and weighed + end - begin > limits.max_labelled):
             break
         weighed += end - begin
-        moved = _moved(mean[r], covariance[r], where, places, s)
-        length, index, slope = _path_lengths(moved, where, places.wall)
-        added = _added_variance(covariance[r], where, places, s)
-        spread = _spread(covariance[r], added, index, slope)
+        moved = _moved(layout, k, mean[r], covariance[r], places, s)
+        length, index, slope, by_height = _path_lengths(layout, k, moved, places.wall)
+        added = _added_variance(k, covariance[r], places, s)
+        spread = _spread(covariance[r], index, slope, by_height, added)
         largest, total = -np.inf, 0.0
         for v in range(begin, end):
             m = _root(spread, places, v, known, root)
@@ -258,7 +244,7 @@ def weigh_labellings(
 
 @compiled
 def updated(
-    mean: Array, covariance: Array, where: Positions, places: PlacePaths, row: Index, child: Index
+    layout: Layout, k: int, mean: Array, covariance: Array, places: PlacePaths, row: Index, child: Index
 ) -> tuple[Array, Array]:
     """Means (N, n) and covariances of hypotheses ``row`` after the paths of labellings ``child``."""
     size, count = mean.shape[1], len(places.wall)
@@ -267,10 +253,11 @@ def updated(
     gain = np.empty((count, size))
     for n in range(len(row)):
         old, new, v = covariance[row[n]], new_covariance[n], child[n]
-        moved = _moved(mean[row[n]], old, where, places, places.candidate[v])
-        length, index, slope = _path_lengths(moved, where, places.wall)
-        added, w = _added_variance(old, where, places, places.candidate[v]), where.anchor + 2
-        m = _root(_spread(old, added, index, slope), places, v, known, root)
+        s = places.candidate[v]
+        moved = _moved(layout, k, mean[row[n]], old, places, s)
+        length, index, slope, by_height = _path_lengths(layout, k, moved, places.wall)
+        added, w = _added_variance(k, old, places, s), FIRST_ANCHOR + PER_ANCHOR * k + 2
+        m = _root(_spread(old, index, slope, by_height, added), places, v, known, root)
         _log_density(length, places, v, known, m, root, white)
         for i in range(m):
             gain[i] = 0.0
@@ -278,10 +265,10 @@ def updated(
                 factor = slope[known[i], t]
                 for b in range(size):
                     gain[i, b] += factor * old[index[known[i], t], b]
-            gain[i, w] += slope[known[i], 4] * added
-            for k in range(i):
+            gain[i, w] += by_height[known[i]] * added
+            for j in range(i):
                 for b in range(size):
-                    gain[i, b] -= root[i, k] * gain[k, b]
+                    gain[i, b] -= root[i, j] * gain[j, b]
             for b in range(size):
                 gain[i, b] /= root[i, i]
                 moved[b] += gain[i, b] * white[i]

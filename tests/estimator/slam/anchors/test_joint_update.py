@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.slam.anchors.branching import branch_hypotheses
-from estimator.slam.anchors.joint_update import BranchLimits, PlacePaths, Positions, updated, weigh_labellings
+from estimator.slam.anchors.joint_update import BranchLimits, PlacePaths, updated, weigh_labellings
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.state_vector import Layout
 from tests.estimator.slam.anchors.scenes import ANCHOR, WALLS
@@ -190,21 +190,19 @@ def test_caps_keep_the_likeliest():
 def test_labellings_are_weighed_up_to_the_bound():
     """What was not weighed says so, and is not taken for likely."""
     base, given = hypotheses(count=2), places()
-    where = Positions(
-        LAYOUT.anchor_xy(1).start, np.array([LAYOUT.bias(0), LAYOUT.bias(1)]), LAYOUT.walls.start
-    )
     weight = np.full((2, 5), -np.inf)
     limits = WIDE._replace(max_labelled=3)
     order = np.array([0, 1, 2, 3])
-    weigh_labellings(base.log_weight, base.mean, base.covariance, where, given, order, 0.0, limits, weight)
+    weigh_labellings(
+        LAYOUT, 1, base.log_weight, base.mean, base.covariance, given, order, 0.0, limits, weight
+    )
     assert np.isfinite(weight).tolist() == [[True] * 3 + [False] * 2, [False] * 5]
 
 
 def test_no_child_is_no_array():
     """Nothing to make is made without an error."""
     base = hypotheses()
-    where = Positions(LAYOUT.anchor_xy(1).start, np.array([LAYOUT.bias(1)]), LAYOUT.walls.start)
     none = np.zeros(0, dtype=np.int64)
-    mean, covariance = updated(base.mean, base.covariance, where, places(), none, none)
+    mean, covariance = updated(LAYOUT, 1, base.mean, base.covariance, places(), none, none)
     assert mean.shape == (0, LAYOUT.size)
     assert covariance.shape == (0, LAYOUT.size, LAYOUT.size)
