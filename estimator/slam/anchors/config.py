@@ -167,7 +167,7 @@ class AnchorSearchConfig(Settings):
     max_labelling_nodes: int = positive(20_000)
     max_labelling_nodes_in_all: int = positive(400_000)
     max_labelled_features: int = positive(200_000)
-    max_branch_floats: int = positive(2_400_000)
+    max_branch_floats: int = positive(2_000_000)
     min_branches: int = positive(4)
 
     def widened(self) -> AnchorSearchConfig:
