@@ -1,7 +1,7 @@
 """Log evidence of an anchor at a place, over "all is clutter".
 
 Over a few epochs a feature is visible all along or not at all. Belief propagation between the epochs'
-associations tells which: at most E x Q x ``max_gated`` pairs a place, ``ROUNDS`` rounds of messages each.
+associations tells which: at most E x Q x ``max_gated`` pairs a place, ``ITERATIONS`` rounds of messages each.
 """
 
 from __future__ import annotations
@@ -13,74 +13,12 @@ from estimator.compiled import compiled
 from estimator.slam.anchors.circles import Circles
 from estimator.slam.anchors.likelihood import Gated, Model, Place, gate_epoch, is_behind, walls_between
 from estimator.slam.anchors.observations import Observations
+from estimator.slam.association.belief_propagation import associate_pairs
 
-__all__ = ["ROUNDS", "associate_pairs", "weigh"]
+__all__ = ["weigh"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-ROUNDS = 12  # of message passing, at most
-_SETTLED = 1e-6  # numerical tolerance: relative change of messages
-
-
-@compiled
-def associate_pairs(
-    odds: Array, feature: Index, path: Index, features: int, paths: int, forth: Array, back: Array
-) -> float:
-    """One-to-one association of features and paths of which only some pairs are possible.
-
-    Loopy belief propagation as in :mod:`estimator.slam.association`, on a list of pairs.
-
-    Parameters
-    ----------
-    odds : ndarray, shape (N,)
-        Of each pair: likelihood of "feature gave path" over "feature was missed and the path is clutter".
-    feature, path : ndarray of int64, shape (N,)
-        Which pair it is.
-    features, paths : int
-        Their numbers.
-    forth, back : ndarray, shape (N,)
-        Filled with the messages from features to paths and back; the marginal probability of a
-        pair is ``odds * back`` over one plus the sum of these of its feature.
-
-    Returns
-    -------
-    float
-        Log evidence (Bethe approximation) less that of the features each on its own under ``back``.
-    """
-    n = len(odds)
-    of_feature, of_path = np.zeros(features), np.zeros(paths)
-    claims, offers = np.zeros(features, dtype=np.int64), np.zeros(paths, dtype=np.int64)
-    contested = False
-    for i in range(n):
-        forth[i], back[i] = odds[i], 1.0
-        claims[feature[i]] += 1
-        offers[path[i]] += 1
-        contested = contested or claims[feature[i]] > 1 or offers[path[i]] > 1
-    if not contested:
-        return 0.0
-    for _ in range(ROUNDS):
-        of_feature[:] = 0.0
-        of_path[:] = 0.0
-        for i in range(n):
-            of_feature[feature[i]] += odds[i] * back[i]
-        for i in range(n):
-            forth[i] = odds[i] / (1.0 + of_feature[feature[i]] - odds[i] * back[i])
-            of_path[path[i]] += forth[i]
-        moving = False
-        for i in range(n):
-            new = 1.0 / (1.0 + of_path[path[i]] - forth[i])
-            moving = moving or abs(new - back[i]) > _SETTLED * back[i]
-            back[i] = new
-        if not moving:
-            break
-    contest = 0.0
-    for j in range(paths):
-        if offers[j] > 1:
-            contest += np.log1p(of_path[j])
-    for i in range(n):
-        if offers[path[i]] > 1:
-            contest -= np.log1p(forth[i] * back[i])
-    return contest
 
 
 @compiled
@@ -158,20 +96,25 @@ def weigh(
                 told[f] = pd * visible / (1.0 - pd * visible)
             for i in range(begin, end):
                 odds[i] = told[feature[i]] * relative[i]
-            contest[e] = associate_pairs(
+            by_path = np.empty(seen.paths[e])
+            associate_pairs(
                 odds[begin:end],
                 feature[begin:end],
                 path[begin:end],
-                active,
-                seen.paths[e],
                 forth[begin:end],
                 back[begin:end],
+                mass,
+                by_path,
             )
+            contest[e] = 0.0  # Bethe's evidence less that of the features each on its own
+            for j in range(seen.paths[e]):
+                if by_path[j] > 0.0:
+                    contest[e] += np.log1p(by_path[j])
+            for i in range(begin, end):
+                contest[e] -= np.log1p(forth[i] * back[i])
             told[:] = 0.0
-            mass[:] = 0.0
             for i in range(begin, end):
                 told[feature[i]] += relative[i] * back[i]
-                mass[feature[i]] += odds[i] * back[i]
             for f in range(active):
                 log_ratio[e, f] = np.log(1.0 - pd + pd * told[f])
             if sweep == last:

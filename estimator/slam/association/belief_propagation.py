@@ -16,11 +16,63 @@ from numpy.typing import NDArray
 
 from estimator.compiled import compiled
 
-__all__ = ["ITERATIONS", "associate", "associate_all"]
+__all__ = ["ITERATIONS", "associate", "associate_all", "associate_pairs"]
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 ITERATIONS: Final = 12  # rounds of messages at most: loops of two tracks and two paths settle in fewer
 _SETTLED: Final = 1e-6  # relative change of messages that is rounding for what follows
+
+
+@compiled
+def associate_pairs(
+    odds: Array,
+    feature: Index,
+    measurement: Index,
+    forth: Array,
+    back: Array,
+    by_feature: Array,
+    by_measurement: Array,
+    iterations: int = ITERATIONS,
+) -> None:
+    """Messages between features and measurements of which only N pairs are possible.
+
+    Time is that of the pairs, times the iterations.
+
+    Parameters
+    ----------
+    odds : ndarray, shape (N,)
+        Likelihood of "feature gave measurement" over "feature was missed and measurement is clutter".
+    feature, measurement : ndarray of int64, shape (N,)
+        Which pair it is.
+    forth, back : ndarray, shape (N,)
+        Take the messages from features to measurements and back; a pair has the probability
+        ``odds * back / (1 + by_feature[feature])``.
+    by_feature, by_measurement : ndarray, shapes (F,), (M,)
+        Take the sums of ``odds * back`` of each feature, and of ``forth`` of each measurement.
+    iterations : int
+        Rounds of message passing, at least 1; fewer where the messages have settled.
+    """
+    back[:] = 1.0
+    for _ in range(iterations):
+        by_feature[:] = 0.0
+        by_measurement[:] = 0.0
+        for e in range(len(odds)):
+            by_feature[feature[e]] += odds[e] * back[e]
+        for e in range(len(odds)):
+            forth[e] = odds[e] / (1.0 + by_feature[feature[e]] - odds[e] * back[e])
+            by_measurement[measurement[e]] += forth[e]
+        moving = False
+        for e in range(len(odds)):
+            before = back[e]
+            back[e] = 1.0 / (1.0 + by_measurement[measurement[e]] - forth[e])
+            if abs(back[e] - before) > _SETTLED * before:
+                moving = True
+        if not moving:
+            break
+    by_feature[:] = 0.0
+    for e in range(len(odds)):
+        by_feature[feature[e]] += odds[e] * back[e]
 
 
 @compiled
@@ -64,28 +116,8 @@ def associate(ratio: Array, probability: Array, message: Array, iterations: int 
             if ratio[f, j] > 0.0:
                 row[e], column[e], odds[e] = f, j, ratio[f, j]
                 e += 1
-    weighted = odds.copy()
-    by_feature, by_measurement = np.zeros(features), np.zeros(measurements)
-    for _ in range(iterations):
-        by_feature[:] = 0.0
-        by_measurement[:] = 0.0
-        for e in range(count):
-            by_feature[row[e]] += weighted[e]
-        for e in range(count):
-            forth[e] = odds[e] / (1.0 + by_feature[row[e]] - weighted[e])
-            by_measurement[column[e]] += forth[e]
-        moving = False
-        for e in range(count):
-            back[e] = 1.0 / (1.0 + by_measurement[column[e]] - forth[e])
-            after = odds[e] * back[e]
-            if abs(after - weighted[e]) > _SETTLED * weighted[e]:
-                moving = True
-            weighted[e] = after
-        if not moving:
-            break
-    by_feature[:] = 0.0
-    for e in range(count):
-        by_feature[row[e]] += weighted[e]
+    by_feature, by_measurement = np.empty(features), np.empty(measurements)
+    associate_pairs(odds, row, column, forth, back, by_feature, by_measurement, iterations)
     evidence = 0.0
     for f in range(features):
         evidence += np.log1p(by_feature[f])
@@ -95,7 +127,7 @@ def associate(ratio: Array, probability: Array, message: Array, iterations: int 
             message[f, j] = 1.0 / (1.0 + by_measurement[j])
     for e in range(count):
         evidence -= np.log1p(forth[e] * back[e])
-        probability[row[e], column[e]] = weighted[e] / (1.0 + by_feature[row[e]])
+        probability[row[e], column[e]] = odds[e] * back[e] / (1.0 + by_feature[row[e]])
         message[row[e], column[e]] = back[e]
     return evidence
 

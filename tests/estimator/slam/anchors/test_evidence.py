@@ -7,9 +7,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from estimator.slam.anchors.evidence import associate_pairs
 from estimator.slam.anchors.likelihood import Place, gate_epoch, room_for
 from estimator.slam.anchors.search import evidence_at
+from estimator.slam.association.belief_propagation import associate_pairs
 from tests.estimator.slam.anchors.scenes import ANCHOR, NOISE, SPREAD, WALLS, observed, scene
 
 FAR = np.array([400.0, 300.0])  # an anchor whose paths no place near RP explains
@@ -35,11 +35,12 @@ def associated(odds: np.ndarray) -> tuple[float, np.ndarray]:
     """Log evidence and marginals of :func:`associate_pairs`."""
     feature, path = np.nonzero(odds)
     forth, back = np.empty(feature.size), np.empty(feature.size)
-    contest = associate_pairs(odds[feature, path], feature, path, *odds.shape, forth, back)
+    own, by_path = np.empty(len(odds)), np.empty(odds.shape[1])
+    associate_pairs(odds[feature, path], feature, path, forth, back, own, by_path)
     weighted = np.zeros(odds.shape)
     weighted[feature, path] = odds[feature, path] * back
-    own = 1.0 + weighted.sum(axis=1)
-    return float(contest + np.log(own).sum()), weighted / own[:, None]
+    evidence = np.log1p(own).sum() + np.log1p(by_path).sum() - np.log1p(forth * back).sum()
+    return float(evidence), weighted / (1.0 + own)[:, None]
 
 
 @pytest.mark.parametrize(
