@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -164,11 +165,12 @@ def _params(dataset: Dataset, plan: FloorPlan, reached: int) -> dict[str, Any]:
     manifest: Mapping[str, Any] = dataset.manifest
     surfaces = len(plan.surface_names)
     depth = plan.tracing.depth
+    traced = plan.tracing.engine == "sionna"
     return {
         "version": _FORMAT_VERSION,
         "rt_params": {
-            "raytracer_name": "Sionna Ray Tracing",
-            "raytracer_version": manifest["versions"]["sionna-rt"],
+            "raytracer_name": "Sionna Ray Tracing" if traced else "hapslam image method",
+            "raytracer_version": manifest["versions"]["sionna-rt"] if traced else metadata.version("hapslam"),
             "frequency": plan.radio.carrier_hz,
             "max_path_depth": depth,
             "max_reflections": depth,

@@ -19,7 +19,6 @@ from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.passive import TraceReport, trace_passive
 from raytrace.propagation.paths import PathSet
 from raytrace.propagation.scene import RadioScene, build_scene
-from tests.raytrace.image_tracer import images_for_rays
 
 Traced = tuple[FloorPlan, RadioScene, PathSet, TraceReport]
 
@@ -44,11 +43,9 @@ def hard_room() -> Traced:
 
 @pytest.fixture(scope="session")
 def short_plan() -> FloorPlan:
-    """The L-room with forty epochs, three sweeps and two antennas."""
-    return updated(
-        load_floorplan("l-room"),
-        {"agent.epochs": 40, "echo.sweep_epochs": [0, 12, 39], "radio.agent_array.elements": 2},
-    )
+    """The L-room with forty epochs, three sweeps and two antennas, by the image method."""
+    changes = {"agent.epochs": 40, "echo.sweep_epochs": [0, 12, 39], "radio.agent_array.elements": 2}
+    return updated(load_floorplan("l-room"), {**changes, "tracing.engine": "images"})
 
 
 @pytest.fixture(scope="session")
@@ -59,12 +56,8 @@ def cut() -> Output:
 
 @pytest.fixture(scope="session")
 def sharded(short_plan: FloorPlan, cut: Output, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """The short walk as a dataset of four shards, made at once by one process; not to be changed.
-
-    Its paths are those of the image method.
-    """
-    with images_for_rays():
-        return generate(short_plan, tmp_path_factory.mktemp("sharded") / "room", seed=1, output=cut).dataset
+    """The short walk as a dataset of four shards, made at once by one process; not to be changed."""
+    return generate(short_plan, tmp_path_factory.mktemp("sharded") / "room", seed=1, output=cut).dataset
 
 
 @pytest.fixture(scope="session")

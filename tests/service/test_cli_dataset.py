@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,25 +16,17 @@ import tomli_w
 from estimator.dataset import open_dataset
 from raytrace.plan.files import load_floorplan, updated
 from service import cli
-from tests.raytrace.image_tracer import images_for_rays
 
 Runner = Callable[..., SimpleNamespace]
 
 
 @pytest.fixture(scope="module")
 def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The L-room with nine epochs, as a file."""
-    plan = updated(load_floorplan("l-room"), {"agent.epochs": 9})
+    """The L-room with nine epochs, by the image method, as a file."""
+    plan = updated(load_floorplan("l-room"), {"agent.epochs": 9, "tracing.engine": "images"})
     file = tmp_path_factory.mktemp("plan") / "room.toml"
     file.write_text(tomli_w.dumps(plan.model_dump(mode="json", exclude_none=True)))
     return file
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _images() -> Iterator[None]:
-    """The image method in place of the ray tracer, which the demo and its tests use."""
-    with images_for_rays():
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +74,7 @@ def test_the_data_card(traced: Path) -> None:
         "# l-room",
         manifest["scene"]["sha256"],
         "CC0-1.0",
-        f"sionna-rt {manifest['versions']['sionna-rt']}",
+        f"numpy {manifest['versions']['numpy']}",
         "28 GHz",
         "9, in shards of at most 3",
         f"| passive | {found} | {found} | 0 | 0 | 0 |",

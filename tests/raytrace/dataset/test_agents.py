@@ -21,6 +21,7 @@ from raytrace.propagation.plan_summary import floorplan_summary
 def pair() -> FloorPlan:
     data = load_floorplan("l-room").model_dump(mode="json", exclude_none=True)
     data["agent"]["epochs"] = 5
+    data["tracing"]["engine"] = "images"
     data["agents"] = [
         {"name": "ann", "waypoints_m": [[70.0, 20.0], [70.0, 50.0]], "epochs": 4, "orientation": "travel"}
     ]

@@ -25,11 +25,11 @@ licence = "CC0-1.0"
 
 [[setups]]
 name = "short"
-set = {"agent.epochs" = 4, "radio.subcarriers" = 400}
+set = {"agent.epochs" = 4, "radio.subcarriers" = 400, "tracing.engine" = "images"}
 
 [[setups]]
 name = "quiet"
-set = {"agent.epochs" = 4, "radio.subcarriers" = 400, "radio.eirp_dbm" = 0.0}
+set = {"agent.epochs" = 4, "radio.subcarriers" = 400, "tracing.engine" = "images", "radio.eirp_dbm" = 0.0}
 """
 
 
@@ -56,7 +56,9 @@ def test_every_combination_is_a_dataset(file: Path, tmp_path: Path, digests: Dig
     manifest = open_dataset(tmp_path / "out" / "mine-quiet-seed4").manifest
     assert (manifest["name"], manifest["seed"], manifest["radio"]["eirp_dbm"]) == ("mine", 4, 0.0)
     assert manifest["output"]["licence"] == "CC0-1.0"
-    plan = updated(load_floorplan("l-room"), {"agent.epochs": 4, "radio.subcarriers": 400})
+    plan = updated(
+        load_floorplan("l-room"), {"agent.epochs": 4, "radio.subcarriers": 400, "tracing.engine": "images"}
+    )
     alone = generate(plan, tmp_path / "alone", 3)
     both = (digests(alone.dataset.path), digests(tmp_path / "out" / "l-room-short-seed3"))
     assert both[0]["passive-00000.nc"] == both[1]["passive-00000.nc"]
@@ -69,7 +71,11 @@ def test_every_combination_is_a_dataset(file: Path, tmp_path: Path, digests: Dig
     ("old", "new", "words"),
     [
         ('"l-room", ', '"nowhere", ', "nowhere: expected a floor plan file"),
-        ('"agent.epochs" = 4, "radio.subcarriers" = 400}', '"agent.legs" = 2}', "agent.legs"),
+        (
+            '"agent.epochs" = 4, "radio.subcarriers" = 400, "tracing.engine" = "images"}',
+            '"agent.legs" = 2}',
+            "agent.legs",
+        ),
         ("version = 1", "version = 2", "version"),
         ("seeds = [3, 4]", "seeds = [3, 3]", "l-room-short-seed3 twice"),
         ("seeds = [3, 4]", "seeds = [-1]", "seeds.0"),

@@ -32,7 +32,7 @@ IDEAL = {
 
 @pytest.fixture(scope="module")
 def plan() -> FloorPlan:
-    short = {"agent.epochs": 6, "radio.agent_array.elements": 2}
+    short = {"agent.epochs": 6, "radio.agent_array.elements": 2, "tracing.engine": "images"}
     return updated(load_floorplan("l-room"), {**short, **IDEAL})
 
 
@@ -79,7 +79,7 @@ def test_manifest_tells_the_links_and_not_the_plan(made: Generated, plan: FloorP
     assert manifest["radio"]["noise_variance"] == plan.radio.noise_variance()
     assert manifest["echo"]["noise_variance"] == plan.echo.noise_variance()
     assert manifest["echo"]["beams"]["beams"] == 64
-    assert {"sionna-rt", "mitsuba", "drjit", "numpy", "llvm"} <= set(manifest["versions"])
+    assert "numpy" in manifest["versions"]
     text = json.dumps(manifest)
     for secret in ("waypoints", "position_m", "from_m", "west", "edge", str(made.dataset.path.parent)):
         assert secret not in text, secret
@@ -124,9 +124,9 @@ def test_truth_is_the_plan(made: Generated, plan: FloorPlan) -> None:
     np.testing.assert_array_equal(truth["reflects"], expected)
 
 
-@pytest.mark.usefixtures("traced")
 def test_equal_seeds_give_equal_bytes_in_another_process(plan: FloorPlan, tmp_path: Path) -> None:
     """Traced in a process of its own, in another folder, every file has the bytes that this one writes."""
+    plan = updated(plan, {"tracing.engine": "sionna"})
     code = (
         "import json, sys\n"
         "from pathlib import Path\n"
@@ -163,7 +163,6 @@ def test_other_seed_changes_the_noise_alone(made: Generated, plan: FloorPlan, tm
     assert abs(variance - expected) < 5 * expected * np.sqrt(2 / count)
 
 
-@pytest.mark.usefixtures("traced")
 def test_passive_and_echo_noise_are_independent_streams(plan: FloorPlan, tmp_path: Path) -> None:
     """Another kind of sweep changes no channel: the passive noise has its own stream."""
     other = updated(plan, {"echo.model": "radar-equation", "echo.fan_rays": 0})
@@ -280,7 +279,6 @@ def test_snapshots_clocks_and_turning_in_files(plan: FloorPlan, tmp_path: Path) 
     np.testing.assert_allclose(cfr, exact, atol=1e-5 * np.abs(exact).max())
 
 
-@pytest.mark.usefixtures("traced")
 def test_arrays_at_both_ends_in_files(plan: FloorPlan, tmp_path: Path) -> None:
     """Anchors with an array of two rows add an axis; the first antennas are what the manifest says."""
     changes = {

@@ -205,15 +205,21 @@ def _kills(plan: FloorPlan, folder: Path, kills: int, seed: int, jobs: list[int]
         assert digests(room) == digests(whole.path), f"after {done} kills"
 
 
-@pytest.mark.usefixtures("traced")
 def test_killed_by_the_system(short_plan: FloorPlan, tmp_path: Path, digests: Digests) -> None:
-    """SIGKILL at a random moment, then on to the same bytes."""
-    plan = updated(short_plan, {"agent.epochs": 12, "echo.sweep_epochs": [0]})
+    """SIGKILL at a random moment of a traced walk, then on to the same bytes."""
+    changes = {"agent.epochs": 12, "echo.sweep_epochs": [0], "tracing.engine": "sionna"}
+    plan = updated(short_plan, changes)
     _kills(plan, tmp_path, 1, 5, [1], digests)
 
 
 @pytest.mark.soak
-@pytest.mark.usefixtures("traced")
 def test_killed_twenty_times(short_plan: FloorPlan, tmp_path: Path, digests: Digests) -> None:
     """The same twenty times on a longer walk, some of them with two workers."""
-    _kills(updated(short_plan, {"agent.epochs": 160}), tmp_path, 20, 6, [1, 1, 2], digests)
+    _kills(
+        updated(short_plan, {"agent.epochs": 160, "tracing.engine": "sionna"}),
+        tmp_path,
+        20,
+        6,
+        [1, 1, 2],
+        digests,
+    )

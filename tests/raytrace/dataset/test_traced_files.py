@@ -17,8 +17,6 @@ from raytrace.dataset.verify import verify
 from raytrace.plan.files import load_floorplan, updated
 from raytrace.plan.floorplan import FloorPlan
 
-pytestmark = pytest.mark.usefixtures("traced")
-
 Digests = Callable[[Path], dict[str, str]]
 CUT = Output(shard_epochs=3)
 CAMPAIGN = """
@@ -36,7 +34,7 @@ def plan() -> FloorPlan:
 
 
 @pytest.fixture
-def whole(plan: FloorPlan, traced: None, tmp_path: Path) -> Dataset:
+def whole(plan: FloorPlan, tmp_path: Path) -> Dataset:
     """Six epochs in two shards, made at once."""
     return generate(plan, tmp_path / "whole", 1, output=CUT).dataset
 
@@ -46,7 +44,7 @@ def test_traced_paths_are_complete(whole: Dataset) -> None:
     result = verify(whole)
     assert result.ok
     assert result.found == result.expected > 100
-    assert whole.manifest["versions"]["llvm"].split(".")[0].isdigit()
+    assert {"sionna-rt", "mitsuba", "drjit", "numpy", "llvm"} <= set(whole.manifest["versions"])
 
 
 def test_traced_parts_make_the_whole(

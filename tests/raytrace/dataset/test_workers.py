@@ -15,17 +15,17 @@ from estimator.errors import WorkerLostError
 from estimator.executors import open_workers
 from raytrace.dataset.generate import generate
 from raytrace.dataset.output import Output
+from raytrace.plan.files import updated
 from raytrace.plan.floorplan import FloorPlan
-from tests.raytrace.image_tracer import image_shard
 
 Digests = Callable[[Path], dict[str, str]]
 
 
-@pytest.mark.usefixtures("traced")
 def test_two_processes_write_the_bytes_of_one(
     short_plan: FloorPlan, cut: Output, tmp_path: Path, digests: Digests
 ) -> None:
     """Spawned ray tracers, finishing in whatever order, make every file as this one does, manifest too."""
+    short_plan = updated(short_plan, {"tracing.engine": "sionna"})
     told: list[tuple[int, int, str]] = []
     with open_workers(jobs=2) as crew:
         generate(short_plan, tmp_path / "room", 1, lambda *now: told.append(now), output=cut, crew=crew)
@@ -43,12 +43,10 @@ def test_a_cluster_writes_the_bytes_of_one(
     cut: Output,
     tmp_path: Path,
     digests: Digests,
-    monkeypatch: pytest.MonkeyPatch,
     processes: bool,
 ) -> None:
     """The same through a Dask scheduler with two workers, to which tasks travel by network."""
     distributed = pytest.importorskip("distributed", reason="Dask (the extra cluster) is not installed")
-    monkeypatch.setattr("raytrace.dataset.generate.make_shard", image_shard)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Dask's own
         with (

@@ -22,7 +22,10 @@ from raytrace.propagation.reflectors import surfaces_of
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Twelve epochs in the L-room, with two sweeps."""
-    plan = updated(load_floorplan("l-room"), {"agent.epochs": 12, "echo.sweep_epochs": [0, 11]})
+    plan = updated(
+        load_floorplan("l-room"),
+        {"agent.epochs": 12, "echo.sweep_epochs": [0, 11], "tracing.engine": "images"},
+    )
     out = tmp_path_factory.mktemp("pictures") / "room"
     generate(plan, out, 1)
     return open_dataset(out)
