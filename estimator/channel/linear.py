@@ -19,7 +19,8 @@ def factorise(matrix: NDArray[np.float64]) -> bool:
     Returns
     -------
     bool
-        Whether the matrix is positive definite; if not, pivots were raised to what rounding leaves.
+        Whether the matrix is positive definite; if not, pivots were raised to what rounding leaves, and their
+        rows cut off, so that the inverse stays finite and positive.
     """
     size, largest, definite = matrix.shape[0], 0.0, True
     for i in range(size):
@@ -27,6 +28,8 @@ def factorise(matrix: NDArray[np.float64]) -> bool:
     for k in range(size):
         if not matrix[k, k] > _LEAST_PIVOT * largest:
             matrix[k, k], definite = max(_LEAST_PIVOT * largest, 1e-300), False
+            for j in range(k + 1, size):
+                matrix[k, j] = 0.0
         root = np.sqrt(matrix[k, k])
         matrix[k, k] = root
         for j in range(k + 1, size):
@@ -68,11 +71,20 @@ def solve(upper: NDArray[np.float64], right: NDArray[np.inexact]) -> None:
 
 @compiled
 def invert(matrix: NDArray[np.float64]) -> bool:
-    """Put the inverse of ``matrix`` (n, n) in its place; whether it is positive definite."""
-    inverse = np.eye(matrix.shape[0])
+    """Put the inverse of ``matrix`` (n, n) in its place; whether it is positive definite.
+
+    The diagonal is scaled to 1 before, so that rounding is judged element by element.
+    """
+    size = matrix.shape[0]
+    scale, inverse = np.empty(size), np.eye(size)
+    for i in range(size):
+        scale[i] = 1.0 / np.sqrt(max(matrix[i, i], 1e-300))
+    for i in range(size):
+        for j in range(size):
+            matrix[i, j] *= scale[i] * scale[j]
     definite = factorise(matrix)
     solve(matrix, inverse)
-    for i in range(matrix.shape[0]):
-        for j in range(matrix.shape[0]):
-            matrix[i, j] = inverse[i, j]
+    for i in range(size):
+        for j in range(size):
+            matrix[i, j] = scale[i] * scale[j] * inverse[i, j]
     return definite

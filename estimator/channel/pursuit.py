@@ -19,6 +19,7 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _NEIGHBOURHOOD_CELLS = (-2.0, -1.0, 1.0, 2.0)  # where the residual's level is taken
+_TURN_VARIANCE = 1.0 / 12.0  # of a point anywhere in a turn
 _SIGNIFICANT_LEVEL = 3.0  # of the residual, over the noise: four standard deviations of its mean
 
 
@@ -192,4 +193,9 @@ def covariances(channel: Channel, points: Real, gain: Complex, noise: float) -> 
             for e in range(axes):
                 claimed[k, d, e] = 0.5 * max(noise, level) * bound[d * paths + k, e * paths + k]
             claimed[k, d, d] += cells2 / atoms.sizes[d] ** 2
+        for d in range(axes):  # whatever is not known lies in one turn
+            shrink = np.sqrt(min(1.0, _TURN_VARIANCE / claimed[k, d, d]))
+            for e in range(axes):
+                claimed[k, d, e] *= shrink
+                claimed[k, e, d] *= shrink
     return claimed

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimator.channel.atoms import information, inner_products
 from estimator.channel.linear import factorise, invert, solve, solve_forward
 
 pytestmark = pytest.mark.interpreted
@@ -38,3 +39,17 @@ def test_a_singular_matrix_is_told() -> None:
     matrix = np.ones((3, 3)) + np.diag([0.0, 1.0, 0.0])
     assert not factorise(matrix)
     assert np.all(np.isfinite(matrix))
+
+
+def test_variances_stay_positive_where_paths_can_not_be_told_apart() -> None:
+    """Three strong paths within a fifth of a cell: no information is left, and no negative variance."""
+    sizes, middle = np.array([61]), 0.2
+    for gap in (0.1, 0.03, 0.003):
+        points = (middle + np.array([-gap, 0.0, gap]) / 61.0)[:, None]
+        kernels = inner_products(sizes, points)
+        upper = kernels.kernel.copy()
+        factorise(upper)
+        variance = information(kernels, upper, np.array([[1e6, -2e6, 1e6]], dtype=complex))
+        invert(variance)
+        assert np.all(np.isfinite(variance))
+        assert np.all(np.diagonal(variance) > 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -239,3 +240,16 @@ def test_bad_settings_are_refused(name: str, value: float) -> None:
     """Every setting is checked when the configuration is made, and named in the message."""
     with pytest.raises(ConfigurationError, match=name):
         NompConfig(**{name: value})
+
+
+def test_a_measured_channel_has_variances_that_can_be_believed() -> None:
+    """A measured CFR of dense paths: all variances positive, none beyond that of a delay not known at all."""
+    file = Path(__file__).parents[4] / "shared/benchmarks/measured/uwb-cirs-2018/negative-variance.npz"
+    if not file.exists():
+        pytest.skip(f"no measured channel: {file} is not there")
+    measured = np.load(file)
+    grid = OfdmGrid(3993.6e6, 998.4e6 / 128, 61)
+    (found,) = estimate_delays(measured["cfr"][None], float(measured["noise_variance"]), grid)
+    assert len(found) > 0
+    assert np.all(found.variance_s2 > 0.0)
+    assert np.all(found.variance_s2 <= 1.001 / 12.0 / grid.tone_spacing_hz**2)
