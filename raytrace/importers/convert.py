@@ -1,7 +1,7 @@
 """Drawings of other programs to floor plans, with a report of what became of everything.
 
 A file is read once, whole, and by its suffix: ``.dxf``, ``.geojson`` or ``.json``,
-``.xml`` (Mitsuba), ``.ply``, ``.obj``, ``.stl``, ``.glb`` and ``.gltf``. Nothing else is opened:
+``.xml`` (Mitsuba), ``.ply``, ``.obj``, ``.stl``, ``.glb``, ``.gltf`` and ``.osm``. Nothing else is opened:
 references to other files are reported, and meshes of a Mitsuba scene are given explicitly. Nothing
 in a file is run.
 
@@ -28,6 +28,7 @@ from raytrace.importers.joins import join_ends
 from raytrace.importers.mesh import read_model, read_ply
 from raytrace.importers.mitsuba import read_mitsuba
 from raytrace.importers.options import ImportOptions
+from raytrace.importers.osm import read_osm
 from raytrace.importers.units import questioned
 from raytrace.plan.files import parse_floorplan
 from raytrace.plan.floorplan import FORMAT, VERSION, FloorPlan
@@ -39,7 +40,7 @@ from raytrace.plan.surfaces import Wall
 __all__ = ["SUFFIXES", "Imported", "floorplan_of", "import_floorplan", "read_drawing"]
 
 MODELS = (".obj", ".stl", ".glb", ".gltf")
-SUFFIXES = (".dxf", ".geojson", ".json", ".xml", ".ply", *MODELS)
+SUFFIXES = (".dxf", ".geojson", ".json", ".xml", ".ply", *MODELS, ".osm")
 
 _MOST_WALLS = 20_000
 # Repairs of walls that are told one by one; and a space below this share of the plan is hardly the right one.
@@ -113,6 +114,8 @@ def read_drawing(path: Path, options: ImportOptions, meshes: Sequence[Path] = ()
     data = _read(path)
     if suffix == ".dxf":
         return read_dxf(data, options)
+    if suffix == ".osm":
+        return read_osm(data, options)
     if suffix in MODELS:
         return read_model(data, suffix, options)
     if suffix == ".ply":

@@ -24,7 +24,7 @@ from raytrace.importers.drawing import Drawing, Line, Opening, require_finite, r
 from raytrace.importers.openings import cut_openings
 from raytrace.importers.options import UNITS_M, ImportOptions
 
-__all__ = ["Feature", "drawing_of", "levels_in", "read_geojson"]
+__all__ = ["Feature", "drawing_of", "features_in", "levels_in", "read_geojson"]
 
 Feature = tuple[str, Mapping[str, Any], Any]
 
@@ -51,7 +51,7 @@ def read_geojson(data: bytes, options: ImportOptions) -> Drawing:
     FileFormatError
         If it is no GeoJSON, a feature is malformed, or there is no wall.
     """
-    return drawing_of(list(_features(_parse(require_size(data)))), options)
+    return drawing_of(features_in(data), options)
 
 
 def drawing_of(features: list[Feature], options: ImportOptions) -> Drawing:
@@ -80,9 +80,13 @@ def drawing_of(features: list[Feature], options: ImportOptions) -> Drawing:
     return drawing
 
 
-def levels_in(data: bytes) -> list[str]:
-    """Levels that a GeoJSON file states, in order; raises FileFormatError if it is none."""
-    features = list(_features(_parse(require_size(data))))
+def features_in(data: bytes) -> list[Feature]:
+    """Features of a GeoJSON file; raises FileFormatError if it is none."""
+    return list(_features(_parse(require_size(data))))
+
+
+def levels_in(features: list[Feature]) -> list[str]:
+    """Levels that features state, in order."""
     return sorted({one for some in _stated_levels(features) for one in some}, key=_by_number)
 
 

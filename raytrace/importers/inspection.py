@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimator.errors import InputError
+from raytrace.importers import geojson, osm
 from raytrace.importers.convert import read_drawing
 from raytrace.importers.drawing import Drawing
-from raytrace.importers.geojson import levels_in
 from raytrace.importers.options import ImportOptions
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ __all__ = ["draw_drawing", "inspect_drawing"]
 
 # Layers that a picture names; the rest is grey.
 _MOST_NAMED = 10
-MAPS = (".geojson", ".json")
+MAPS = {".geojson": geojson.features_in, ".json": geojson.features_in, ".osm": osm.features_in}
 
 
 def inspect_drawing(
@@ -55,7 +55,8 @@ def inspect_drawing(
         If the file cannot be read at all.
     """
     options = ImportOptions() if options is None else options
-    levels = levels_in(path.read_bytes()) if path.suffix.lower() in MAPS else []
+    features_in = MAPS.get(path.suffix.lower())
+    levels = [] if features_in is None else geojson.levels_in(features_in(path.read_bytes()))
     chosen = options if options.level or len(levels) < 2 else replace(options, level=levels[0])
     problem, report = "", None
     if chosen is not options:

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import FileFormatError
-from raytrace.importers.drawing import Drawing, require_package, require_size
+from raytrace.importers.drawing import Drawing, require_size
 from raytrace.importers.mesh import Solid, cut, read_ply_mesh
 from raytrace.importers.options import ImportOptions
+from raytrace.importers.safe_xml import parse_xml
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -53,7 +54,7 @@ def read_mitsuba(data: bytes, options: ImportOptions, meshes: Mapping[str, bytes
         If it is no XML or no scene, has a document type or entities, an attribute cannot
         be understood, or there is no wall.
     """
-    root = _parse(require_size(data))
+    root = parse_xml(require_size(data))
     if root.tag != "scene":
         raise FileFormatError(f"expected a <scene>, got <{root.tag}>")
     values = {node.get("name", ""): node.get("value", "") for node in root.iter("default")}
@@ -84,22 +85,6 @@ def read_mitsuba(data: bytes, options: ImportOptions, meshes: Mapping[str, bytes
         drawing.report.dropped[f"<{tag}>"] += len(list(root.iter(tag)))
     drawing.report.dropped = +drawing.report.dropped
     return drawing
-
-
-def _parse(data: bytes) -> Element:
-    require_package("defusedxml")
-    from xml.etree.ElementTree import ParseError
-
-    from defusedxml import DefusedXmlException
-    from defusedxml.ElementTree import fromstring
-
-    try:
-        root: Element = fromstring(data, forbid_dtd=True, forbid_entities=True, forbid_external=True)
-    except DefusedXmlException as error:
-        raise FileFormatError(f"expected XML without document type and entities, got {error}") from error
-    except (ParseError, ValueError, LookupError, RecursionError) as error:
-        raise FileFormatError(f"expected XML, could not read it: {error}") from error
-    return root
 
 
 def _geometry(
