@@ -1,6 +1,8 @@
 // Calls of the service. Errors carry the problem document's detail.
 
 const STORED = "hapslam-key";
+const RETRY_MS = 1000; // before a stream that broke is opened again
+const HIDDEN_POLL_MS = 10_000; // between two questions of a tab that nobody sees
 
 export const key = {
   get: () => sessionStorage.getItem(STORED) ?? "",
@@ -49,40 +51,68 @@ export async function download(path, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-// Server-sent events through fetch, so that a key can be sent along. Comes back with
-// Last-Event-ID after a break, so nothing is missed.
+// Resolves when the tab is shown or hidden, or after some time.
+function turned(milliseconds) {
+  return new Promise((resolve) => {
+    const done = () => {
+      clearTimeout(timer);
+      document.removeEventListener("visibilitychange", done);
+      resolve();
+    };
+    const timer = setTimeout(done, milliseconds);
+    document.addEventListener("visibilitychange", done);
+  });
+}
+
+// Events of an answer: name and data.
+async function* parts(body) {
+  const reader = body.pipeThrough(new TextDecoderStream()).getReader();
+  let text = "";
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    text += value;
+    const blocks = text.split("\n\n");
+    text = blocks.pop();
+    for (const block of blocks) {
+      yield Object.fromEntries(
+        block.split("\n").filter((line) => !line.startsWith(":")).map((line) => {
+          const at = line.indexOf(": ");
+          return [line.slice(0, at), line.slice(at + 2)];
+        }),
+      );
+    }
+  }
+}
+
+// Server-sent events through fetch, so that a key can be sent along. Comes back after a break with
+// the epoch that is next, so nothing is missed. A browser has six connections to a server for all its
+// tabs: only a tab that is seen keeps a stream open, a hidden one asks now and then.
 export async function* events(path, first, signal) {
   let next = first;
   while (!signal.aborted) {
+    const hidden = document.hidden, stop = new AbortController();
+    const end = () => stop.abort();
+    signal.addEventListener("abort", end);
+    if (!hidden) document.addEventListener("visibilitychange", end);
     try {
-      const answer = await checked(await fetch(`${path}?first=${next}`, { headers: headers(), signal }));
-      const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
-      let text = "";
-      for (;;) {
-        const { value, done } = await reader.read();
-        if (done) break;
-        text += value;
-        const blocks = text.split("\n\n");
-        text = blocks.pop();
-        for (const block of blocks) {
-          const event = Object.fromEntries(
-            block.split("\n").filter((line) => !line.startsWith(":")).map((line) => {
-              const at = line.indexOf(": ");
-              return [line.slice(0, at), line.slice(at + 2)];
-            }),
-          );
-          if (event.event === "deleted") return;
-          if (event.event === "epoch") {
-            const state = JSON.parse(event.data);
-            next = state.epoch + 1;
-            yield state;
-          }
+      const query = `first=${next}&follow=${!hidden}`;
+      const answer = await checked(await fetch(`${path}?${query}`, { headers: headers(), signal: stop.signal }));
+      for await (const event of parts(answer.body)) {
+        if (event.event === "deleted") return;
+        if (event.event === "epoch") {
+          const state = JSON.parse(event.data);
+          next = state.epoch + 1;
+          yield state;
         }
       }
     } catch (error) {
       if (signal.aborted) return;
-      if (error instanceof Problem && error.status < 500) throw error;
+      if (error instanceof Problem && error.status < 500 && error.status !== 429) throw error;
+    } finally {
+      signal.removeEventListener("abort", end);
+      document.removeEventListener("visibilitychange", end);
     }
-    await new Promise((resolve) => setTimeout(resolve, 1000));
+    await turned(hidden && document.hidden ? HIDDEN_POLL_MS : RETRY_MS);
   }
 }

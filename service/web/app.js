@@ -46,7 +46,11 @@ function row(session) {
 
 async function route() {
   notice(null);
-  const match = location.hash.match(/^#\/s\/([0-9a-f]{32})$/);
+  const match = location.hash.match(/^#\/s\/([0-9a-f]{32})(?:\/(hapslam-share_[0-9a-f]{12}_[\w-]{43}))?$/);
+  if (match?.[2]) { // a link that was shared: its key goes where keys are, not into the history
+    key.set(match[2]);
+    history.replaceState(null, "", `#/s/${match[1]}`);
+  }
   $("list").hidden = Boolean(match);
   $("session").hidden = !match;
   try {
