@@ -94,20 +94,15 @@ def _requests(client: httpx2.Client) -> list[Request]:
 
         return ask
 
-    names = [f"a{i}" for i in range(16)]
+    names, place = [f"a{i}" for i in range(16)], f"/v1/sessions/{long}/truth"
     return [
         posted(crowded, names, {"sweep": 0, "walls": walls}, "epochs", _JSON),
         posted(all_epochs, ["pa1", "pa2"], shipped["sweep"], "epochs", _JSON),
         posted(noise, ["pa1", "pa2"], shipped["sweep"], "channels?noise_variance=1e-6", _BINARY),
         posted(wrong, ["pa1", "pa2"], shipped["sweep"], "epochs", _JSON),
-        lambda client, dice: (
-            client.put(f"/v1/sessions/{long}/truth", content=truth, headers=_JSON).status_code
-        ),
+        lambda client, dice: client.put(place, content=truth, headers=_JSON).status_code,
         lambda client, dice: client.get("/v1/example", params={"seed": dice.randrange(10**6)}).status_code,
-        *(
-            read(leaf)
-            for leaf in ("map.png", "map.svg", "map", "export", "measurements", "smoothed", "trajectory")
-        ),
+        *map(read, ("map.png", "map.svg", "map", "export", "measurements", "smoothed", "trajectory")),
     ]
 
 
