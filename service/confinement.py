@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing import parent_process
 from pathlib import Path
 
 from estimator.errors import FileFormatError, FileTooLargeError, HapslamError
@@ -19,9 +18,16 @@ try:
 except ImportError:  # not on Windows, where files are still checked before they are read
     resource = None  # type: ignore[assignment]
 
-__all__ = ["confined_reading", "limit_memory"]
+__all__ = ["confine", "confined_reading", "limit_memory"]
 
 _STATUS = Path("/proc/self/status")
+_confined = False  # whether files are read one at a time: in a worker that has read one of each kind
+
+
+def confine() -> None:
+    """From now on this process opens no other file while it reads one of a stranger's."""
+    global _confined
+    _confined = True
 
 
 def limit_memory(most_bytes: int) -> None:
@@ -67,7 +73,7 @@ def confined_reading() -> Iterator[None]:
 @contextmanager
 def _one_file() -> Iterator[None]:
     """Leave this process one free file descriptor; the threads of a server keep theirs."""
-    if resource is None or parent_process() is None:
+    if resource is None or not _confined:
         yield
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

@@ -38,7 +38,7 @@ def patient_protocol(patience: Patience) -> type[asyncio.Protocol]:
 
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            self._head, self._paused = 0, None
+            self._head, self._paused, self._body_due = 0, None, False
             self._late = self.loop.call_later(patience.head_s, transport.close)
 
         def connection_lost(self, error: Exception | None) -> None:
@@ -47,20 +47,33 @@ def patient_protocol(patience: Patience) -> type[asyncio.Protocol]:
             super().connection_lost(error)
 
         def data_received(self, data: bytes) -> None:
+            if self._body_due:  # of a request that may have been answered already
+                super().data_received(data)
+                return
             if self._between_requests() and not self._head:
-                self._watch_head()
+                self._watch(patience.head_s)
             self._head += len(data)
             super().data_received(data)
-            if not self._between_requests():
+            if self._body_due or not self._between_requests():
                 self._head = 0
                 self._late.cancel()
             elif self._head > patience.head_bytes:
                 self.transport.close()
 
+        def on_headers_complete(self) -> None:
+            self._body_due = True
+            super().on_headers_complete()
+
+        def on_message_complete(self) -> None:
+            self._body_due = False
+            super().on_message_complete()
+
         def on_response_complete(self) -> None:
             super().on_response_complete()
             self._head = 0
             self._late.cancel()
+            if self._body_due:  # refused by its head: the rest is thrown away, but not for ever
+                self._watch(patience.reader_s)
 
         def pause_writing(self) -> None:
             super().pause_writing()
@@ -73,9 +86,9 @@ def patient_protocol(patience: Patience) -> type[asyncio.Protocol]:
         def _between_requests(self) -> bool:
             return self.cycle is None or bool(self.cycle.response_complete)
 
-        def _watch_head(self) -> None:
+        def _watch(self, seconds: float) -> None:
             self._late.cancel()
-            self._late = self.loop.call_later(patience.head_s, self.transport.close)
+            self._late = self.loop.call_later(seconds, self.transport.close)
 
         def _cancel_pause(self) -> None:
             if self._paused is not None:

@@ -183,6 +183,8 @@ def _dataset(body: bytes, folder: Path, limit: int, limits: EpochLimits) -> Unpa
 
 
 def _without(folder: str, error: InputError) -> FileFormatError:
-    """An error without the name of the folder in which the file lay."""
-    text = str(error).replace(f"{folder}/", "").replace(folder, "dataset")
+    """An error without the name of the folder in which the file lay, and without what a library said."""
+    text = (
+        str(error).partition(", could not read it:")[0].replace(f"{folder}/", "").replace(folder, "dataset")
+    )
     return type(error)(text) if isinstance(error, FileFormatError) else FileFormatError(text)

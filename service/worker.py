@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from service.confinement import limit_memory
+from service.confinement import confine, limit_memory
 from service.errors import DrainingError, StepTooLargeError, StepTooLongError, WorkerDiedError
 from service.fold import Folded, Job, StateCache
 
@@ -49,6 +49,8 @@ class WorkerSetup:
         Time of a whole task, seconds.
     nice : int
         By how much others come first on a busy processor.
+    reads_files : bool
+        Whether it reads files of strangers.
     database : tuple, optional
         URL and lock timeout of the database that it reads; without it there is none.
     """
@@ -57,6 +59,7 @@ class WorkerSetup:
     step_limit_s: float
     task_limit_s: float
     nice: int = 0
+    reads_files: bool = False
     database: tuple[str, float] | None = None
 
 
@@ -102,12 +105,9 @@ def _serve(connection: Connection, setup: WorkerSetup) -> None:
     os.nice(setup.nice)
     warnings.simplefilter("ignore", RuntimeWarning)  # wild measurements overflow; estimates are checked
     context = TaskContext(begin_step=lambda what: connection.send(("step", what)))
-    if setup.database is None:
-        from service.warmup import warm_up  # of the processes alone: the server starts sooner
-
-        warm_up()
-    else:
+    if setup.database is not None:
         context.store = _opened(*setup.database)
+    _warm_up(setup)
     limit_memory(setup.most_bytes)
     connection.send(("ready", None))
     while True:
@@ -119,6 +119,18 @@ def _serve(connection: Connection, setup: WorkerSetup) -> None:
             connection.send(("done", task.run(context)))
         except Exception as error:  # to be raised where the request waits
             _tell(connection, error)
+
+
+def _warm_up(setup: WorkerSetup) -> None:
+    from service import warmup  # of the processes alone: the server starts sooner
+
+    if setup.database is not None:
+        warmup.warm_up_smoothing()
+        return
+    warmup.warm_up_steps()
+    if setup.reads_files:
+        warmup.warm_up_reading()
+        confine()
 
 
 def _tell(connection: Connection, error: Exception) -> None:

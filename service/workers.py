@@ -26,7 +26,7 @@ __all__ = ["AnyWorker", "Lane", "Workers"]
 
 T = TypeVar("T")
 AnyWorker = Worker | LocalWorker
-_BEHIND = 15  # niceness of what may take long: a fiftieth of the processor beside a step
+_BEHIND = 10  # niceness of what may take long: a tenth of the processor beside a step
 
 
 class Lane(StrEnum):
@@ -116,8 +116,10 @@ def _made(settings: Settings, store: Store) -> dict[Lane, list[AnyWorker]]:
     database = settings.url.render_as_string(hide_password=False), settings.lock_timeout_s
     return {
         Lane.STEPS: [Worker(WorkerSetup(*limits)) for _ in range(settings.workers)],
-        Lane.BULK: [Worker(WorkerSetup(*limits, _BEHIND)) for _ in range(settings.bulk_workers)],
-        Lane.READS: [Worker(WorkerSetup(*limits, _BEHIND, database)) for _ in range(settings.read_workers)],
+        Lane.BULK: [Worker(WorkerSetup(*limits, _BEHIND, True)) for _ in range(settings.bulk_workers)],
+        Lane.READS: [
+            Worker(WorkerSetup(*limits, _BEHIND, False, database)) for _ in range(settings.read_workers)
+        ],
     }
 
 

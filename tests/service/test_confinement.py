@@ -57,7 +57,7 @@ def test_a_reader_gets_no_second_file(tmp_path: Path, monkeypatch: pytest.Monkey
     two.write_bytes(b"2")
     with confined_reading(), one.open("rb"), two.open("rb"):
         pass  # a server's own process has threads that open files meanwhile
-    monkeypatch.setattr("service.confinement.parent_process", lambda: object())
+    monkeypatch.setattr("service.confinement._confined", True)
     failed = pytest.raises(FileFormatError, match="its reader failed over it")
     with failed as caught, confined_reading(), one.open("rb"), two.open("rb"):
         pass

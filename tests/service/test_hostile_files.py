@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import random
@@ -102,6 +103,15 @@ def walk_file(tmp_path: Path) -> Callable[[], Path]:
     return lambda: measurement_file(measurements, tmp_path)
 
 
+def _channels() -> bytes:
+    """Good channels of two anchors, as npz."""
+    tones, stream = np.arange(64) * 1e6, io.BytesIO()
+    cfr = 1e-4 * np.exp(-2j * np.pi * tones * 1e-7) * np.ones((2, 2, 1, 1))
+    axes = {"time_s": np.arange(2.0), "epoch": np.arange(2), "anchor": np.array(["one", "two"])}
+    np.savez(stream, cfr_re=cfr.real, cfr_im=cfr.imag, tone_offset_hz=tones, **axes)
+    return stream.getvalue()
+
+
 def _requests(
     makers: dict[str, bytes], count: int, session: str, dice: random.Random
 ) -> Iterator[tuple[str, bytes, str]]:
@@ -155,6 +165,13 @@ def test_hostile_files_get_nothing_and_stop_nobody(
                     assert CANARY not in told
                     client.delete(made)
         assert friend.session(session)["id"] == session
+        good, binary = walk_file(), {"Content-Type": "application/octet-stream", **theirs}
+        with httpx2.Client(base_url=server.url, headers=binary, timeout=150.0) as client:
+            made = client.post("/v1/uploads", content=good.read_bytes())
+            assert made.status_code == 201, made.text
+            sent = client.post(f"/v1/sessions/{session}/channels?noise_variance=1e-12", content=_channels())
+            assert sent.status_code in (200, 422), sent.text  # 422: no wall was sensed at the start
+            assert "reader failed" not in sent.text
     waits = np.array(watch.waits_s)
     record_property("answers", json.dumps(statuses, sort_keys=True))
     record_property("slowest /livez, ms", f"{1e3 * waits.max():.0f} of {len(waits)}")

@@ -61,7 +61,7 @@ def test_an_answer_comes_in_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Where the work takes longer than a request may, 504 at that time; the same again is fine later."""
-    settings = load_settings(database_url=database, workers=0, request_timeout_s=1.0)
+    settings = load_settings(database_url=database, workers=0, request_timeout_s=1.0, prompt_s=60.0)
     fold = LocalWorker.fold
 
     def slow(self: LocalWorker, job: Job) -> Folded:
