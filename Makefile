@@ -34,8 +34,9 @@ coverage: $(VENV)/.dev
 
 soak: $(VENV)/.dev
 	@HAPSLAM_TEST_KILLS=200 HAPSLAM_TEST_RESTARTS=10 HAPSLAM_TEST_BODIES=2000 HAPSLAM_TEST_EXAMPLES=100 \
+	    HAPSLAM_TEST_HOSTILE=5000 \
 	    $(BIN)/python -m pytest -m "soak or not soak" \
-	    tests/service/test_durability.py tests/service/test_fuzz.py $(ARGS)
+	    tests/service/test_durability.py tests/service/test_fuzz.py tests/service/test_hostile_files.py $(ARGS)
 	@$(BIN)/python -m pytest -m soak $(ARGS)
 	@$(BIN)/hapslam bench --only service
 
