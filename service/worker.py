@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from service.confinement import confine, limit_memory
-from service.errors import DrainingError, StepTooLargeError, StepTooLongError, WorkerDiedError
+from service.errors import BusyError, DrainingError, StepTooLargeError, StepTooLongError, WorkerDiedError
 from service.fold import Folded, Job, StateCache
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ __all__ = ["LocalWorker", "Task", "TaskContext", "Worker", "WorkerSetup"]
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 _START_S = 300.0  # until a process is ready: on a new machine it compiles the engine first
+_START_WAIT_S = 30.0  # that a request waits for it
 _PATIENCE = 4.0  # of the wall clock beside processor time: a niced process may wait for its turn
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100
 
@@ -172,6 +173,7 @@ class Worker:
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, self._setup), daemon=True)
         self._process.start()
+        self._begun = time.monotonic()
         theirs.close()
         self._answered, self._ready = select.poll(), False
         self._answered.register(self._connection.fileno(), select.POLLIN)
@@ -193,6 +195,8 @@ class Worker:
         ------
         StepTooLongError, StepTooLargeError
             If it took more time or memory than it may.
+        BusyError
+            If the process is still starting.
         WorkerDiedError
             If the process died over it.
         DrainingError
@@ -200,7 +204,7 @@ class Worker:
         """
         try:
             if not self._ready:
-                self._await(_START_S)
+                self._await_start()
             self._connection.send(task)
             result: T = self._answer()
             return result
@@ -261,9 +265,13 @@ class Worker:
             return time.monotonic()
         return (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
 
-    def _await(self, patience_s: float) -> None:
-        if not self._answered.poll(1000.0 * patience_s) or self._connection.recv()[0] != "ready":
-            raise EOFError
+    def _await_start(self) -> None:
+        """Wait until the process is ready; raises BusyError where that takes long, EOFError where too long."""
+        if not self._answered.poll(1000.0 * _START_WAIT_S):
+            if time.monotonic() - self._begun > _START_S:
+                raise EOFError
+            raise BusyError("expected a worker that is ready, it is still starting; come again", 5)
+        self._connection.recv()
         self._ready = True
 
     def _replace(self) -> None:
