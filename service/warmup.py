@@ -44,7 +44,6 @@ def warm_up_steps() -> None:
 def warm_up_smoothing() -> None:
     """Smooth the beginning of the shipped example, and load what pictures are drawn with."""
     import estimator.evaluation.pictures  # noqa: F401
-
     from estimator.slam import run_slam
     from estimator.slam.smoothing.refine import refine
 

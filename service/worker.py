@@ -266,7 +266,7 @@ class Worker:
         return (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
 
     def _await_start(self) -> None:
-        """Wait until the process is ready; raises BusyError where that takes long, EOFError where too long."""
+        """Wait until the process is ready; raises BusyError where that takes long, EOFError in the end."""
         if not self._answered.poll(1000.0 * _START_WAIT_S):
             if time.monotonic() - self._begun > _START_S:
                 raise EOFError
