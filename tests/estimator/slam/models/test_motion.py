@@ -1,0 +1,37 @@
+"""Motion against matrices: a dense prediction of the whole state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from estimator.errors import ConfigurationError
+from estimator.slam.models.motion import Motion, predict_motion, process_noise, transition
+
+
+def test_prediction_is_the_dense_one():
+    """The agent moves, its correlations with walls move along, and the rest stays."""
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(9, 9))
+    mean, covariance = rng.normal(size=9), root @ root.T
+    a = block_diag(transition(0.7), np.eye(5))
+    q = block_diag(process_noise(0.7, 0.3), np.zeros((5, 5)))
+    expected, spread = a @ mean, a @ covariance @ a.T + q
+    predict_motion(mean, covariance, 0.7, 0.3)
+    np.testing.assert_allclose(mean, expected, atol=1e-12)
+    np.testing.assert_allclose(covariance, spread, atol=1e-12)
+    assert np.array_equal(covariance, covariance.T)
+
+
+def test_noise_is_an_acceleration_held_over_the_step():
+    """Covariance of 100,000 sampled steps."""
+    draws = np.random.default_rng(2).normal(size=(100_000, 2)) * np.sqrt(0.3)
+    moved = np.concatenate([0.5 * 0.7**2 * draws, 0.7 * draws], axis=1)
+    np.testing.assert_allclose(np.cov(moved.T), process_noise(0.7, 0.3), atol=0.003)
+
+
+def test_settings_are_checked():
+    """A negative variance would make velocities imaginary."""
+    with pytest.raises(ConfigurationError, match=r"Motion.acceleration_variance: expected a positive"):
+        Motion(acceleration_variance=-1.0)
