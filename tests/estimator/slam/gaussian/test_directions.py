@@ -5,41 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.geometry import mirror_in_wall, rotation_matrix
+from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
 from estimator.slam import GaussianEngine, Prior, epoch_rng, run_slam
 from estimator.slam.gaussian.sweep_update import take_sweep
-from estimator.slam.models.state_vector import THETA
 from estimator.slam.models.sweeps import predict_flashes
 from estimator.slam.run import config_for
-from tests.estimator.slam.models.test_path_lengths import state_of
 
 
 def last_error(result, room):
     """Position error at the end, metres."""
     return float(np.linalg.norm(result.agent_mean[-1, :2] - (room.track[-1] - room.track[0])))
-
-
-def test_flashes_are_the_agents_own_images(room):
-    """predict_flashes() equals the mirror image of the agent, relative to it, turned by theta."""
-    mean, layout = state_of(room, room.track[120])
-    mean[THETA] = 0.3
-    flash, _ = predict_flashes(mean, layout)
-    image = mirror_in_wall(room.track[120], room.walls[:, 0], room.walls[:, 1]) - room.track[120]
-    c, s = np.cos(0.3), np.sin(0.3)
-    assert np.allclose(flash, image @ np.array([[c, -s], [s, c]]).T, atol=1e-9)
-
-
-def test_flash_jacobian_matches_central_differences(room):
-    """Analytic derivatives of flashes agree with central differences."""
-    mean, layout = state_of(room, room.track[120])
-    mean[THETA] = 0.1
-    _, jacobian = predict_flashes(mean, layout)
-    for column in range(layout.size):
-        shift = np.zeros(layout.size)
-        shift[column] = 1e-5
-        ahead, behind = (predict_flashes(mean + s * shift, layout)[0] for s in (1, -1))
-        assert np.allclose(jacobian[..., column], (ahead - behind) / 2e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,10 @@ import pytest
 
 from estimator.errors import InputError
 from estimator.measurements import GaussianVrp
-from estimator.slam import GaussianConfig, start
+from estimator.slam import GaussianConfig
 from estimator.slam.gaussian.estimate import estimate
-from estimator.slam.models.state_vector import THETA
+from estimator.slam.gaussian.start import start, state_of
+from estimator.slam.models.state_vector import THETA, Layout
 
 
 def walls_of(rng=None, turn=0.0):
@@ -39,11 +40,11 @@ def test_the_walls_come_back():
 
 
 def test_gauge_covariance_is_that_of_sampled_walls():
-    """Theta and the VRPs in the gauge frame have the covariance of 20,000 sampled starts."""
+    """Theta and the VRPs in the gauge frame have the covariance of 5,000 sampled starts."""
     rng = np.random.default_rng(7)
     config = GaussianConfig()
     state = start(walls_of(), ("a",), 28e9, config)
-    layout, draws = state.layout, 20_000
+    layout, draws = state.layout, 5_000
     norms = np.linalg.norm([wall.mean_m for wall in walls_of()], axis=1)
     in_slots = np.linalg.norm(state.hypotheses.mean[0, layout.walls].reshape(-1, 2), axis=1)
     order = [int(np.argmin(np.abs(norms - norm))) for norm in in_slots]  # wall in each slot
@@ -101,3 +102,19 @@ def test_known_anchors_fix_the_frame():
         np.testing.assert_allclose(believed, spread)
     nothing = start([], ("a", "b"), 28e9, GaussianConfig(), anchors)
     assert nothing.layout.slots == 0
+
+
+def test_a_state_of_a_given_gaussian():
+    """What is known otherwise (another run, a plan) is taken as it is; its walls count as found."""
+    layout = Layout(1, 2)
+    rng = np.random.default_rng(1)
+    mean, covariance = rng.normal(size=layout.size), np.eye(layout.size)
+    located = np.array([True])
+    state = state_of(layout, mean, covariance, ("a",), located, 6e9, GaussianConfig(), 0.4)
+    assert state.layout == layout
+    assert np.array_equal(state.hypotheses.mean[0], mean)
+    assert state.slots.confirmed.all()
+    assert state.epoch == -1
+    assert state.bearing_rad == 0.4
+    assert state.next_wall_id == 2
+    assert state.buffer.epochs == 0
