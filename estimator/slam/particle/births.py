@@ -16,7 +16,6 @@ __all__ = ["born_features", "merged", "new_odds", "pruned", "vrp_between"]
 
 Array = NDArray[np.float64]
 _SMALLEST = np.float32(1e-6)  # squared distance of anchor and virtual anchor, keeps the VRP finite
-_NEAREST_M = 0.5  # VRPs closer to RP than this would be walls on top of the agent
 
 
 def new_odds(length_m: Array, config: ParticleConfig) -> Array:
@@ -139,10 +138,10 @@ def _on_circle(
         return points
     _half_way(anchor, points, points)
     square = points[0] * points[0] + points[1] * points[1]
-    if square.min() > _NEAREST_M**2:
+    if square.min() > config.nearest_wall_m**2:
         return points
     with np.errstate(divide="ignore"):
-        return points[:, systematic(np.log((square > _NEAREST_M**2).astype(np.float32)), rng)]
+        return points[:, systematic(np.log((square > config.nearest_wall_m**2).astype(np.float32)), rng)]
 
 
 def merged(features: Features, config: ParticleConfig) -> Features:

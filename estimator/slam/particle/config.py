@@ -72,6 +72,8 @@ class ParticleConfig:
         Probability that a feature that exists still exists an epoch later, (41).
     new_mean : float
         Mean number of new features per anchor and epoch.
+    nearest_wall_m : float
+        Smallest distance of a new wall's VRP from RP: closer, the wall would run through the agent's start.
     prune_probability : float
         Features less likely to exist than this are dropped.
     detect_threshold : float
@@ -114,6 +116,7 @@ class ParticleConfig:
     height2_mean_m2: float = 0.0
     survival_probability: float = 0.999
     new_mean: float = 1e-4
+    nearest_wall_m: float = 0.5
     prune_probability: float = 1e-4
     detect_threshold: float = 0.5
     found_std_m: float = 5.0

@@ -13,7 +13,7 @@ one before left:
     -> locate anchors, IV-B1 -> merge, (48), and prune features
 
 The beliefs forget how agent, anchors and walls hang together; the covariances are too
-small accordingly, those of the map's rotation most of all. :mod:`estimator.slam.gaussian.filter`
+small accordingly, those of the map's rotation most of all. :mod:`estimator.slam.gaussian.engine`
 is the engine that keeps them. Where this engine departs from the paper, its configuration
 says so: the detection probability of a pair of anchor and feature is learned
 (``start_visibility``), for a wall that one anchor is not heard over is not for that reason
