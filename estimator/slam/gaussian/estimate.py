@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.geometry import rotation_matrix
+from estimator.geometry import rotate_by_angle_of, rotation_matrix
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.gaussian.virtual_walls import Wall, virtual_walls
@@ -89,14 +89,7 @@ def _turned(
     state: GaussianState, mean: Array, covariance: Array, parts: tuple[slice, ...]
 ) -> tuple[Array, Array]:
     """Vectors of the gauge frame, and theta's uncertainty, in the estimator's frame."""
-    turn = rotation_matrix(state.bearing_rad + mean[THETA])
-    linear = np.zeros((2 * len(parts), len(mean)))
-    values = np.empty(2 * len(parts))
-    for i, part in enumerate(parts):
-        part_rows = slice(2 * i, 2 * i + 2)
-        values[part_rows] = turn @ mean[part]
-        linear[part_rows, part] = turn
-        linear[part_rows, THETA] = (-values[2 * i + 1], values[2 * i])
+    values, linear = rotate_by_angle_of(mean, THETA, parts, state.bearing_rad)
     return values, linear @ covariance @ linear.T
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
+from estimator.geometry import mirror_xy
 from estimator.slam.models.state_vector import FIRST_ANCHOR, PER_ANCHOR, Layout
 
 __all__ = [
@@ -33,14 +34,8 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+mirror = compiled(mirror_xy)  # the image of a point in the wall with VRP v, RP at the origin
 MOST_ENTRIES: Final = 10  # of the state vector that one path depends on: agent 2, anchor 4, walls 4
-
-
-@compiled
-def mirror(qx: float, qy: float, vx: float, vy: float) -> tuple[float, float]:
-    """Mirror image of a point in the wall with VRP ``v``, RP at the origin (equation (2))."""
-    scale = 1.0 - 2.0 * (qx * vx + qy * vy) / (vx * vx + vy * vy)
-    return qx + scale * vx, qy + scale * vy
 
 
 @compiled
