@@ -115,10 +115,15 @@ def write_netcdf(data: xr.Dataset, path: Path, replace: bool = False) -> None:
         require_absent(path)
     if not path.parent.is_dir():
         raise FileFormatError(f"{path}: expected an existing folder {path.parent}, there is none")
+    from xarray.backends import H5NetCDFStore
+
     temporary = temporary_name(path)
     try:
         contents = io.BytesIO()  # where a disk is full, HDF5 itself ends the process
-        data.to_netcdf(contents, engine="h5netcdf")
+        # The lock that to_netcdf takes in a worker of Dask is named by this object, which no one else knows.
+        store = H5NetCDFStore.open(contents, mode="w", lock=False)
+        data.dump_to_store(store)
+        store.close()
         temporary.write_bytes(contents.getbuffer())
         publish(temporary, path)
     finally:

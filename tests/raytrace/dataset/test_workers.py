@@ -36,14 +36,8 @@ def test_two_processes_write_the_bytes_of_one(
     assert told[-1][2].endswith("0:00 left")
 
 
-@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.soak)])
 def test_a_cluster_writes_the_bytes_of_one(
-    sharded: Dataset,
-    short_plan: FloorPlan,
-    cut: Output,
-    tmp_path: Path,
-    digests: Digests,
-    processes: bool,
+    sharded: Dataset, short_plan: FloorPlan, cut: Output, tmp_path: Path, digests: Digests
 ) -> None:
     """The same through a Dask scheduler with two workers, to which tasks travel by network."""
     distributed = pytest.importorskip("distributed", reason="Dask (the extra cluster) is not installed")
@@ -51,11 +45,7 @@ def test_a_cluster_writes_the_bytes_of_one(
         warnings.simplefilter("ignore")  # Dask's own
         with (
             distributed.LocalCluster(
-                n_workers=2,
-                threads_per_worker=1,
-                processes=processes,
-                protocol="tcp://",
-                dashboard_address=None,
+                n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
             ) as cluster,
             open_workers(scheduler=cluster.scheduler_address) as crew,
         ):
