@@ -469,3 +469,19 @@ def test_a_real_building_is_walked_in_its_rooms(tmp_path: Path) -> None:
     assert track[:, 0].min() < 3
     assert track[:, 0].max() > 9
     assert np.all((track > 0.3) & (track < (11.7, 7.7)))
+
+
+CASES = Path(__file__).parents[3].parent / "shared" / "cases" / "floorplans"
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="the shared cases are not beside this checkout")
+@pytest.mark.parametrize(
+    ("case", "walls"), [("01/room-crlf", 4), ("02/room-lf", 4), ("03/spline", 17), ("05/door-gap", 9)]
+)
+def test_drawings_that_were_once_misread(case: str, walls: int) -> None:
+    """Carriage returns, a spline and a door's gap: walls as drawn, a walk in the room, none in its shaft."""
+    plan = import_floorplan(CASES / f"{case}.dxf").plan
+    assert len(plan.walls) == walls
+    track = plan.track()[:, :2]
+    extent = np.ptp(np.vstack(plan.walls_m()), axis=0)
+    assert np.all(np.ptp(track, axis=0) > 0.5 * extent)
