@@ -3,7 +3,7 @@
 ``step`` takes one epoch into a state; the state before the first epoch comes from
 :func:`estimator.slam.gaussian.start.start`. Online and offline use call the same function.
 
-    predict -> gate, associate, branch, update -> take sweep -> initialise anchors
+    predict -> take sweep -> gate, associate, branch, update -> initialise anchors
     -> path buffer -> births -> reduce the mixture -> lifecycle (confirm, delete)
 """
 
@@ -34,6 +34,7 @@ from estimator.slam.gaussian.reclassification import associated_now
 from estimator.slam.gaussian.start import start
 from estimator.slam.gaussian.state import GaussianState, load_state, save_state
 from estimator.slam.gaussian.sweep_update import take_sweep
+from estimator.slam.gaussian.turns import with_turns
 from estimator.slam.gaussian.update import predict_hypotheses, update_hypotheses
 from estimator.slam.methods import METHODS, Method
 from estimator.slam.mixture_reduction import reduce_mixture
@@ -87,16 +88,9 @@ def step(
     epoch = guard_clutter(epoch, config.noise.most_paths)
     paths = stack_paths(epoch, state.carrier_hz, state.bearing_rad)
     state = _predict(state, epoch, config)
-    state, explained = _update(state, paths, config)
     if epoch.sweep and state.shared:
-        state = take_sweep(
-            state,
-            epoch.sweep,
-            epoch.heading_held,
-            config.sweeps,
-            config.corrections.most_turn_rad,
-            config.visibility,
-        )
+        state = _sweep(state, epoch, config, phase)
+    state, explained = _update(state, paths, config)
     state = initialise_anchors(state, paths, config, phase)
     state = _remember(state, paths, explained, config)
     state = _bear(state, config, phase)
@@ -118,17 +112,33 @@ def _check(state: GaussianState, epoch: Epoch) -> None:
 
 
 def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> GaussianState:
-    """The agent moves on; features may appear and vanish."""
+    """The agent moves on, or turns where a sweep tells; features may appear and vanish."""
     hypotheses = state.hypotheses
     if state.epoch >= 0:
+        step_s = epoch.time_s - state.time_s
+        if epoch.sweep and state.shared:
+            hypotheses = with_turns(hypotheses, step_s, config.motion)
         hypotheses = predict_hypotheses(
             hypotheses,
-            epoch.time_s - state.time_s,
+            step_s,
             config.motion.acceleration_variance,
             config.visibility.appear_probability,
             config.visibility.vanish_probability,
         )
     return state.but(epoch=epoch.index, time_s=epoch.time_s, hypotheses=hypotheses)
+
+
+def _sweep(state: GaussianState, epoch: Epoch, config: GaussianConfig, phase: Phase) -> GaussianState:
+    """Take the epoch's sweep; hypotheses that it refutes are dropped before paths are looked at."""
+    state = take_sweep(
+        state,
+        epoch.sweep,
+        epoch.heading_held,
+        config.sweeps,
+        config.corrections.most_turn_rad,
+        config.visibility,
+    )
+    return state.but(hypotheses=reduce_mixture(state.hypotheses, config.reduce_model(phase, state.layout)))
 
 
 def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> tuple[GaussianState, Array]:

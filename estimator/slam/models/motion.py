@@ -25,6 +25,9 @@ class Motion(Settings):
         Driving noise of the near-constant-velocity motion (39), m^2/s^4 per axis.
     velocity_std_m_s : float
         Standard deviation of the agent's unknown initial velocity, per axis.
+    turn_rate_hz : float
+        How often the agent turns suddenly, times a second: it goes on with a velocity of which only
+        ``velocity_std_m_s`` is known. At most half of the probability goes to a turn within a step.
     start_std_m : float
         Standard deviation of the agent's initial position about RP, per axis, metres; 0 where
         the start defines the frame.
@@ -32,6 +35,7 @@ class Motion(Settings):
 
     acceleration_variance: float = positive(0.0278)
     velocity_std_m_s: float = positive(1.0)
+    turn_rate_hz: float = not_negative(0.04)
     start_std_m: float = not_negative(0.0)
 
 
