@@ -57,22 +57,19 @@ def dense(state, innovation, heading):
 
 @pytest.mark.parametrize("held", [True, False])
 def test_a_sweep_is_a_joint_update(held):
-    """Mean, covariance and evidence of correlated noise; an unknown heading is integrated out."""
+    """Mean, covariance and evidence of correlated noise; an unknown heading is integrated out.
+
+    Flashes are taken one by one, each linearised anew: the difference is that of the linearisation.
+    """
     state = some_state()
     innovation = 0.1 * np.random.default_rng(2).normal(size=6)
-    flash, _ = flashes(state)
-    seen = flash + innovation.reshape(3, 2)
+    seen = flashes(state)[0] + innovation.reshape(3, 2)
     after = swept(state, seen[[2, 0, 1]], held)
-    if held:
-        mean, covariance, log_density = dense(state, innovation, 0.0)
-        np.testing.assert_allclose(after.hypotheses.mean[0], mean, atol=1e-8)
-        np.testing.assert_allclose(after.hypotheses.covariance[0], covariance, atol=1e-8)
-        whitened = 1.5 * np.log(np.linalg.det(NOISE))  # densities are of flashes in units of their noise
-        assert after.hypotheses.log_weight[0] == pytest.approx(log_density + whitened, abs=1e-6)
-    else:
-        mean, covariance, _ = dense(state, innovation, 1.0)
-        np.testing.assert_allclose(after.hypotheses.mean[0], mean, atol=2e-3)
-        np.testing.assert_allclose(after.hypotheses.covariance[0], covariance, atol=2e-4)
+    mean, covariance, log_density = dense(state, innovation, 0.0 if held else 1.0)
+    np.testing.assert_allclose(after.hypotheses.mean[0], mean, atol=8e-3)
+    np.testing.assert_allclose(after.hypotheses.covariance[0], covariance, atol=1e-3)
+    assert after.log_evidence == pytest.approx(log_density, abs=0.1)
+    assert after.hypotheses.log_weight[0] == 0.0
     assert not np.array_equal(state.hypotheses.mean, after.hypotheses.mean)
     assert after.slots.wall_id.tolist() == [0, 1, 2]
 
@@ -88,7 +85,6 @@ def test_any_heading_gives_the_same_correction():
         np.testing.assert_allclose(other.covariance, results[0].covariance, atol=1e-4)
 
 
-@pytest.mark.xfail(strict=True, reason="a flash that no wall explains costs nothing, one that fits does")
 def test_a_hypothesis_that_explains_a_flash_is_the_likelier():
     """Beside it one that lacks the wall: the sweep shows the wall, and must not speak against it."""
     state = some_state()
