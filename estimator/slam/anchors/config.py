@@ -29,7 +29,7 @@ class AnchorSearchConfig(Settings):
         Features (line of sight, single bounces) that paths must explain before an anchor is located.
     start_fresh : int
         Features that a path of the present epoch must explain for sure.
-    sure_probability : float
+    fresh_probability : float
         Association probability from which a path explains a feature for sure.
     start_attempts : int
         Places kept of each search.
@@ -123,7 +123,7 @@ class AnchorSearchConfig(Settings):
     doubt_paths: float = positive(0.5)
     start_matches: int = positive(4)
     start_fresh: int = positive(2)
-    sure_probability: float = probability(0.9)
+    fresh_probability: float = probability(0.9)
     start_attempts: int = positive(20)
     restart_distance_m: float = positive(2.0)
     place_margin_nats: float = positive(2.0)

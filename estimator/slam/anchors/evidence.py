@@ -131,7 +131,7 @@ def weigh(
         total += np.log(1.0 - prior[f] + prior[f] * np.exp(min(ratio, 300.0)))
         if shown[f] <= circles.walls:
             matches += 1 if often[f] > 0.5 else 0
-            fresh += 1 if sure[f] > model.sure_probability else 0
+            fresh += 1 if sure[f] > model.fresh_probability else 0
     for e in range(epochs):
         total += contest[e]
     total += model.behind_wall_log_prior * walls_between(place.x, place.y, vrp)

@@ -35,7 +35,7 @@ class Model(NamedTuple):
         Gate, standard deviations.
     visibility : ndarray, shape (Q,)
         Prior probability that the path of each circle is there.
-    sure_probability, behind_wall_log_prior : float
+    fresh_probability, behind_wall_log_prior : float
         As in :class:`AnchorSearchConfig`.
     region_m : float
         Largest path length: anchors are uniform in a circle of this radius, metres.
@@ -47,7 +47,7 @@ class Model(NamedTuple):
     clutter_density: float
     gate_sigma: float
     visibility: Array
-    sure_probability: float
+    fresh_probability: float
     behind_wall_log_prior: float
     region_m: float
     max_gated: int
@@ -62,7 +62,7 @@ def model_of(circles: Circles, noise: NoiseModel, config: AnchorSearchConfig) ->
         float(noise.clutter_density),
         float(config.search_gate_sigma),
         np.repeat(prior, count),
-        float(config.sure_probability),
+        float(config.fresh_probability),
         float(config.behind_wall_log_prior),
         float(noise.region_m),
         int(config.max_gated),

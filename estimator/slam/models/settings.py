@@ -47,7 +47,8 @@ class Settings:
     Raises
     ------
     ConfigurationError
-        If a value is not a finite number, or not one that its field takes.
+        If a value is not a finite number, not whole where things are counted, or not one that its field
+        takes.
     """
 
     def __post_init__(self) -> None:
@@ -57,5 +58,7 @@ class Settings:
             name = f"{type(self).__name__}.{entry.name}"
             if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
                 raise ConfigurationError(f"{name}: expected a finite number, got {value!r}")
+            if entry.type == "int" and not isinstance(value, (int, np.integer)):
+                raise ConfigurationError(f"{name}: expected a whole number, got {value!r}")
             if not holds(value):
                 raise ConfigurationError(f"{name}: expected {expected}, got {value!r}")

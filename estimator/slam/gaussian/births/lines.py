@@ -204,7 +204,8 @@ def _best_line(buffer: PathBuffer, rows: Index, now: int, range_std_m: float, co
         count, at = most_overlap(np.sort(begin), np.sort(end))
         if count > most:
             most, slope, through = count, at, b
-    if through < 0 or most + 1 < config.birth_support:
+    # the path itself, and those too close in time to vote, may lie on the line, too
+    if through < 0 or most + config.line_epochs < config.birth_support:
         return None
     width = config.line_sigma * std
     deviation = np.abs(length - (length[through] + slope * (time - time[through])))

@@ -24,7 +24,7 @@ def test_limits_are_positive(entry):
         replace(AnchorSearchConfig(), **{entry: 0})
 
 
-@pytest.mark.parametrize("entry", ["sure_probability", "search_visibility_los"])
+@pytest.mark.parametrize("entry", ["fresh_probability", "search_visibility_los"])
 def test_probabilities_are_below_one(entry):
     """A certainty has an infinite log odds."""
     with pytest.raises(ConfigurationError, match=entry):

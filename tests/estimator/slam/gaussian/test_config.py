@@ -12,7 +12,6 @@ from estimator.slam.gaussian.phase import phase_of
 from estimator.slam.models.state_vector import Layout
 
 
-@pytest.mark.xfail(strict=True, reason="two groups have a setting of the same name")
 def test_flat_names_are_unique():
     """Two settings of one name could not both be set."""
     names = GaussianConfig.names()

@@ -64,7 +64,6 @@ def test_visibility_is_a_group():
 COUNTING = [group for group in GROUPS if any(entry.type == "int" for entry in fields(group))]
 
 
-@pytest.mark.xfail(strict=True, reason="settings that count take fractions")
 @pytest.mark.parametrize("group", COUNTING, ids=lambda group: group.__name__)
 def test_whole_numbers_stay_whole(group):
     """Half a hypothesis or a third of a path cannot be counted."""

@@ -43,7 +43,6 @@ def test_a_line_needs_support():
     assert found(buffer_of(EPOCH, 0, LENGTH), birth_support=19) is None
 
 
-@pytest.mark.xfail(strict=True, reason="paths close in time to the latest do not vote for a line's slope")
 def test_the_support_is_counted_as_it_is_set():
     """``birth_support`` paths on one line are enough, wherever in the window they are."""
     assert found(buffer_of(EPOCH[8:], 0, LENGTH[8:])) is not None
