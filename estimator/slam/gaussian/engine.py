@@ -34,7 +34,7 @@ from estimator.slam.gaussian.reclassification import associated_now
 from estimator.slam.gaussian.start import start
 from estimator.slam.gaussian.state import GaussianState, load_state, save_state
 from estimator.slam.gaussian.sweep_update import take_sweep
-from estimator.slam.gaussian.turns import with_turns
+from estimator.slam.gaussian.turns import speed_penalty, with_turns
 from estimator.slam.gaussian.update import predict_hypotheses, update_hypotheses
 from estimator.slam.methods import METHODS, Method
 from estimator.slam.mixture_reduction import reduce_mixture
@@ -138,7 +138,9 @@ def _sweep(state: GaussianState, epoch: Epoch, config: GaussianConfig, phase: Ph
         config.corrections.most_turn_rad,
         config.visibility,
     )
-    return state.but(hypotheses=reduce_mixture(state.hypotheses, config.reduce_model(phase, state.layout)))
+    swept = state.hypotheses
+    swept = swept._replace(log_weight=swept.log_weight + speed_penalty(swept, config.motion))
+    return state.but(hypotheses=reduce_mixture(swept, config.reduce_model(phase, state.layout)))
 
 
 def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> tuple[GaussianState, Array]:

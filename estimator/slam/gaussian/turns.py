@@ -1,14 +1,15 @@
-"""Sudden turns: a branch of the motion model, where something can tell it from going on."""
+"""Sudden turns, a branch of the motion model where something can tell it from going on; largest speeds."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.motion import Motion
 from estimator.slam.models.state_vector import AGENT
 
-__all__ = ["with_turns"]
+__all__ = ["speed_penalty", "with_turns"]
 
 
 def with_turns(hypotheses: Hypotheses, step_s: float, motion: Motion) -> Hypotheses:
@@ -21,7 +22,7 @@ def with_turns(hypotheses: Hypotheses, step_s: float, motion: Motion) -> Hypothe
     step_s : float
         Time until the next epoch, seconds.
     motion : Motion
-        ``turn_rate_hz`` and ``velocity_std_m_s``.
+        ``turn_rate_hz``, and ``velocity_std_m_s`` or half the largest speed.
     """
     chance = min(0.5, motion.turn_rate_hz * step_s)
     if chance <= 0.0:
@@ -31,7 +32,18 @@ def with_turns(hypotheses: Hypotheses, step_s: float, motion: Motion) -> Hypothe
     turned.mean[:, speed] = 0.0
     turned.covariance[:, speed, :] = 0.0
     turned.covariance[:, :, speed] = 0.0
-    turned.covariance[:, speed, speed] = motion.velocity_std_m_s**2 * np.eye(2)
+    std = 0.5 * motion.max_speed_m_s or motion.velocity_std_m_s
+    turned.covariance[:, speed, speed] = std**2 * np.eye(2)
     turned.log_weight[...] += np.log(chance)
     straight = hypotheses._replace(log_weight=hypotheses.log_weight + np.log1p(-chance))
     return straight.joined(turned)
+
+
+def speed_penalty(hypotheses: Hypotheses, motion: Motion) -> NDArray[np.float64]:
+    """Log weight (R,) that hypotheses lose whose agent is faster than it can be; zero without a bound."""
+    if motion.max_speed_m_s <= 0.0:
+        return np.zeros(hypotheses.number)
+    speed = np.hypot(hypotheses.mean[:, 2], hypotheses.mean[:, 3])
+    variance = 0.5 * (hypotheses.covariance[:, 2, 2] + hypotheses.covariance[:, 3, 3])
+    slack = (motion.speed_slack * motion.max_speed_m_s) ** 2 + variance
+    return np.asarray(-0.5 * np.maximum(speed - motion.max_speed_m_s, 0.0) ** 2 / slack)

@@ -28,6 +28,10 @@ class Motion(Settings):
     turn_rate_hz : float
         How often the agent turns suddenly, times a second: it goes on with a velocity of which only
         ``velocity_std_m_s`` is known. At most half of the probability goes to a turn within a step.
+    max_speed_m_s : float
+        Largest speed, as a device knows it of itself, metres a second; 0 where it is not known.
+    speed_slack : float
+        Share of the largest speed that it may be exceeded by: one standard deviation.
     start_std_m : float
         Standard deviation of the agent's initial position about RP, per axis, metres; 0 where
         the start defines the frame.
@@ -36,6 +40,8 @@ class Motion(Settings):
     acceleration_variance: float = positive(0.0278)
     velocity_std_m_s: float = positive(1.0)
     turn_rate_hz: float = not_negative(0.04)
+    max_speed_m_s: float = not_negative(0.0)
+    speed_slack: float = positive(0.1)
     start_std_m: float = not_negative(0.0)
 
 
