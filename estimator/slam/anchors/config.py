@@ -135,7 +135,7 @@ class AnchorSearchConfig(Settings):
     clock_sigma: float = positive(3.0)
     max_clocks: int = positive(128)
     max_clock_groups: int = positive(10)
-    height_cells: int = not_negative(0)
+    height_cells: int = not_negative(8)
     height_min_m: float = positive(0.5)
     height_max_m: float = positive(6.5)
     height_scale_m: float = positive(2.5)

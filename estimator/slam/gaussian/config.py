@@ -134,6 +134,12 @@ class GaussianConfig:
         return {one.name: getattr(group, one.name) for group in groups for one in fields(group)}
 
     @cached_property
+    def search(self) -> AnchorSearchConfig:
+        """The search for anchors; in the plane, where heights are known to be none."""
+        planar = self.noise.height2_std_m2 == 0.0
+        return replace(self.anchors, height_cells=0) if planar else self.anchors
+
+    @cached_property
     def kernels(self) -> Kernels:
         """The same as compiled functions take it."""
         branching = {entry.name: getattr(self.branching, entry.name) for entry in fields(self.branching)}

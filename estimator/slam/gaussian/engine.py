@@ -83,7 +83,7 @@ def step(
         config.phases,
         config.reduction,
         config.lifecycle,
-        config.anchors,
+        config.search,
     )
     epoch = guard_clutter(epoch, config.noise.most_paths)
     paths = stack_paths(epoch, state.carrier_hz, state.bearing_rad)

@@ -74,7 +74,7 @@ def start_anchors(
     if not walls:
         return state
     search = AnchorSearchConfig(
-        start_matches=config.start_matches, start_window=config.start_window
+        start_matches=config.start_matches, start_window=config.start_window, height_cells=0
     ).widened()
     buffer = _buffer(state)
     if not is_due(state.epoch, buffer.epochs, bool(state.located.all()), search):

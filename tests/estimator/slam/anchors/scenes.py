@@ -9,7 +9,7 @@ from estimator.slam.anchors.observations import Observations, gathered
 from estimator.slam.anchors.search import Scene, scene_of
 from estimator.slam.models.noise import MeasurementNoise
 
-SEARCH = AnchorSearchConfig()
+SEARCH = AnchorSearchConfig(height_cells=0)
 NOISE = MeasurementNoise(range_std_m=0.1, clutter_mean=1.0)
 WALLS = np.array([[40.0, 0.0], [0.0, -30.0], [-24.0, 0.0], [0.0, 50.0]])  # VRPs of a rectangle round RP
 SPREAD = np.array([0.01, 0.02, 0.03, 0.04])[:, None, None] * np.eye(2)
