@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import logging
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -26,9 +27,10 @@ import numba
 from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 
-__all__ = ["announce_compilation", "cache_folder", "compiled"]
+__all__ = ["cache_folder", "compiled"]
 
 F = TypeVar("F", bound=Callable[..., Any])
+_LOG = logging.getLogger("hapslam")
 _FUNCTIONS: list[Any] = []
 _FINGERPRINTS: dict[int, str] = {}
 
@@ -91,21 +93,19 @@ def _source_mark(module: str) -> str:
 
 
 class _Announcer(event.Listener):  # type: ignore[misc]
-    """Calls ``write`` once, when the first function is compiled rather than loaded."""
+    """Notes once in the log ``hapslam`` that functions are compiled, not loaded."""
 
-    def __init__(self, write: Callable[[str], None]) -> None:
-        self.write: Callable[[str], None] | None = write
+    def __init__(self) -> None:
+        self.told = False
 
     def on_start(self, event: Any) -> None:
         """A function is compiled now."""
-        if self.write is not None:
-            write, self.write = self.write, None
-            write("compiling the estimator for this machine, once (about half a minute)")
+        if not self.told:
+            self.told = True
+            _LOG.info("compiling the estimator for this machine, once (about half a minute)")
 
     def on_end(self, event: Any) -> None:
         """It has been compiled."""
 
 
-def announce_compilation(write: Callable[[str], None]) -> None:
-    """Have ``write`` told in one line when functions are compiled in this process; loading them is silent."""
-    event.register("numba:compile", _Announcer(write))
+event.register("numba:compile", _Announcer())

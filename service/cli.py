@@ -12,6 +12,7 @@ are missing. Errors are one line on the standard error.
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shlex
 import sys
@@ -241,6 +242,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         Arguments; by default those of the process.
     """
     given = None if arguments is None else list(arguments)
+    if sys.stderr.isatty():
+        _tell_notes()
     try:
         status = app(args=given, prog_name="hapslam", standalone_mode=False) or 0
         sys.stdout.flush()  # a full disk or a closed pipe is told here, not when Python ends
@@ -260,6 +263,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.stderr.write(f"hapslam: error: {' '.join(text.split())}\n")
         _drop_output()
         sys.exit(2)
+
+
+def _tell_notes() -> None:
+    """Print what the packages note by the way, as that functions are compiled, where somebody watches."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("hapslam: note: %(message)s"))
+    logger = logging.getLogger("hapslam")
+    logger.setLevel(logging.INFO)
+    logger.addHandler(handler)
 
 
 def _drop_output() -> None:

@@ -43,6 +43,7 @@ def machine_findings(check: type[Any]) -> list[Finding]:
     needed = ".".join(str(part) for part in _SQLITE)
     return [
         check("processors", True, str(usable), ""),
+        _compiled(check),
         check(
             "database",
             recent,
@@ -50,6 +51,18 @@ def machine_findings(check: type[Any]) -> list[Finding]:
             "" if recent else f"use a Python built with SQLite {needed} or newer",
         ),
     ]
+
+
+def _compiled(check: type[Any]) -> Any:
+    """Whether the machine code of the estimator is kept from one process to the next, and where."""
+    import estimator.slam.models.kalman  # one of the rooms with compiled functions
+    from estimator.compiled import cache_folder
+
+    assert estimator.slam.models.kalman is not None
+    folder = cache_folder()
+    remedy = "set NUMBA_CACHE_DIR to a folder that may be written" if folder is None else ""
+    value = "kept nowhere: every process compiles" if folder is None else f"kept in {folder}"
+    return check("compiled functions", folder is not None, value, remedy)
 
 
 def as_json(findings: Iterable[Finding]) -> dict[str, Any]:

@@ -212,14 +212,14 @@ def test_wrong_usage(main: Runner, arguments: list[str]) -> None:
 
 
 def test_a_system_that_refuses(main: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the system says (no space, no permission) is one line too, with status 1."""
+    """What the system says (no space, no permission) is one line too, with status 2: nothing was done."""
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device", "room")
 
     monkeypatch.setattr("estimator.pipeline.evaluate_file", full)
     run = main("evaluate", "r.nc")
-    assert (run.status, run.out) == (1, "")
+    assert (run.status, run.out) == (2, "")
     assert run.err == "hapslam: error: [Errno 28] No space left on device: 'room'\n"
 
 
