@@ -29,8 +29,8 @@ test: $(VENV)/.dev
 	@$(PYTEST) $(ARGS)
 
 coverage: $(VENV)/.dev
-	@NUMBA_DISABLE_JIT=1 $(PYTEST) --cov --cov-report= -m interpreted -q
-	@$(PYTEST) --cov --cov-append --cov-report=term:skip-covered $(ARGS)
+	@NUMBA_DISABLE_JIT=1 $(PYTEST) -m interpreted -q
+	@$(PYTEST) --cov --cov-report=term:skip-covered $(ARGS)
 
 soak: $(VENV)/.dev
 	@HAPSLAM_TEST_KILLS=200 HAPSLAM_TEST_RESTARTS=10 HAPSLAM_TEST_BODIES=2000 HAPSLAM_TEST_EXAMPLES=100 \
