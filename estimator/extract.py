@@ -115,6 +115,7 @@ def extract(
             "seed": dataset.manifest.get("seed"),
         },
         max_speed_m_s=None if speed is None else float(speed),
+        echo_bias_std_m=settings.flash.common_range_std_m,
     )
 
 

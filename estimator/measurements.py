@@ -39,6 +39,7 @@ _COLUMNS = {
     "azimuth_rad": "rad",
     "azimuth_std_rad": "rad",
 }
+_NUMBERS = ("max_speed_m_s", "echo_bias_std_m")  # attributes that may be missing
 _OPTIONAL = ("gain_db", "azimuth_rad", "azimuth_std_rad")
 _DIMS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("path_valid", "delay_s", "delay_std_s", "gain_db"), ("epoch", "anchor", "path")),
@@ -207,6 +208,9 @@ class MeasurementSet:
         them. None says that nobody does.
     max_speed_m_s : float, optional
         The agent never moves faster, metres per second; None says that nothing is known.
+    echo_bias_std_m : float, optional
+        Of what the covariances of walls and sweeps say of range, the part that all of them have in common: a
+        standard deviation, metres. None says that their errors are independent.
     """
 
     anchors: tuple[str, ...]
@@ -217,10 +221,13 @@ class MeasurementSet:
     dataset: str | None = None
     known_anchors_m: Array | None = None
     max_speed_m_s: float | None = None
+    echo_bias_std_m: float | None = None
 
     def __post_init__(self) -> None:
         if self.max_speed_m_s is not None and not 0.0 < self.max_speed_m_s < np.inf:
             raise InputError(f"max_speed_m_s: expected a positive number, got {self.max_speed_m_s}")
+        if self.echo_bias_std_m is not None and not 0.0 <= self.echo_bias_std_m < np.inf:
+            raise InputError(f"echo_bias_std_m: expected 0 or a positive number, got {self.echo_bias_std_m}")
         if self.known_anchors_m is not None:
             places = _finite("known_anchors_m", self.known_anchors_m, (len(self.anchors), 2))
             object.__setattr__(self, "known_anchors_m", places)
@@ -307,7 +314,7 @@ def save_measurements(measurements: MeasurementSet, path: Path) -> None:
             "carrier_hz": measurements.carrier_hz,
             "settings": json.dumps(dict(measurements.settings), sort_keys=True),
             "dataset": measurements.dataset or "",
-            **({} if measurements.max_speed_m_s is None else {"max_speed_m_s": measurements.max_speed_m_s}),
+            **{name: value for name in _NUMBERS if (value := getattr(measurements, name)) is not None},
             "frame": "origin: agent's start (RP); axes: the agent's arrays at the start; metres",
         },
     )
@@ -374,7 +381,7 @@ def load_measurements(path: Path) -> MeasurementSet:
             json_object(attributes["settings"], "attribute settings"),
             str(attributes["dataset"]) or None,
             data["known_anchor_m"].values if "known_anchor_m" in data else None,
-            float(attributes["max_speed_m_s"]) if "max_speed_m_s" in attributes else None,
+            **{name: float(attributes[name]) for name in _NUMBERS if name in attributes},
         )
     except KeyError as error:
         raise FileFormatError(f"{path}: expected the attribute {error}, it is missing") from error

@@ -70,7 +70,11 @@ class FlashConfig:
     Parameters
     ----------
     range_std_m, azimuth_std_rad : float
-        Standard deviations of range and azimuth claimed on top of the bound, metres and radians.
+        Standard deviations of range and azimuth claimed on top of the bound, metres and radians:
+        images not resolved, beams that are not quite what they should be.
+    common_range_std_m : float
+        Standard deviation of the delay of the front end as a one-way range, metres: an error that all flashes
+        of all sweeps have in common.
     min_reflectivity_db, max_reflectivity_db : float
         Gain of a flash against a perfect mirror's, dB.
     same_direction_rad : float
@@ -87,7 +91,8 @@ class FlashConfig:
         Settings of the pursuit of returns.
     """
 
-    range_std_m: float = 0.04
+    range_std_m: float = 0.01
+    common_range_std_m: float = 0.04
     azimuth_std_rad: float = float(np.deg2rad(0.12))
     min_reflectivity_db: float = -20.0
     max_reflectivity_db: float = 14.0
@@ -103,7 +108,7 @@ class FlashConfig:
         for name in ("range_std_m", "azimuth_std_rad", "rule_range_m", "rule_azimuth_rad"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ConfigurationError(f"{name}: expected a positive number, got {getattr(self, name)}")
-        for name in ("same_direction_rad", "sidelobe_db", "diffuse_db", "pair_margin_db"):
+        for name in ("common_range_std_m", "same_direction_rad", "sidelobe_db", "diffuse_db", "pair_margin_db"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ConfigurationError(
                     f"{name}: expected 0 or a positive number, got {getattr(self, name)}"
@@ -206,7 +211,7 @@ def flash_walls(flashes: list[Flash]) -> tuple[GaussianVrp, ...]:
 
 def _candidates(returns: ReturnSet, config: FlashConfig, range_cell_m: float) -> list[Flash]:
     """Returns joined to flashes, with the covariance claimed, none judged yet."""
-    claimed = np.diag([config.range_std_m**2, config.azimuth_std_rad**2])
+    claimed = np.diag([config.range_std_m**2 + config.common_range_std_m**2, config.azimuth_std_rad**2])
     free = np.ones(len(returns), dtype=bool)
     flashes: list[Flash] = []
     for strongest in range(len(returns)):

@@ -56,8 +56,11 @@ def config_for(measurements: MeasurementSet, base: Config | None = None, engine:
     if not set(GaussianConfig.names()).issuperset(stated):
         raise ConfigurationError(f"measurement_model: expected names of settings, got {dict(stated)}")
     if isinstance(base, GaussianConfig):
-        speed = measurements.max_speed_m_s
-        return base.but(**{**({} if speed is None else {"max_speed_m_s": speed}), **stated})
+        known = {
+            "max_speed_m_s": measurements.max_speed_m_s,
+            "echo_bias_std_m": measurements.echo_bias_std_m,
+        }
+        return base.but(**{name: value for name, value in known.items() if value is not None} | {**stated})
     own = {entry.name for entry in fields(base)}
     return replace(base, **{name: value for name, value in stated.items() if name in own})
 

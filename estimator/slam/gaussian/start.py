@@ -21,7 +21,8 @@ from estimator.slam.gaussian.state import GaussianState, Slots
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.path_buffer import PathBuffer
 from estimator.slam.models.path_loss import first_losses
-from estimator.slam.models.state_vector import NOWHERE_M, THETA, Layout
+from estimator.slam.models.state_vector import ECHO_BIAS, HEADING, NOWHERE_M, THETA, Layout
+from estimator.slam.models.sweeps import own_covariance
 from estimator.slam.models.visibility import prior_visibility
 
 __all__ = ["start", "state_of"]
@@ -83,7 +84,9 @@ def start(
     vrps = np.array([wall.mean_m for wall in walls]).reshape(-1, 2) @ to_gauge.T
 
     mean = np.zeros(layout.size)
-    covariance = _wall_prior(walls, vrps, to_gauge, layout, turning=anchors_m is None)
+    common = config.sweeps.echo_bias_std_m
+    covariance = _wall_prior(walls, vrps, to_gauge, layout, common, turning=anchors_m is None)
+    mean[HEADING] = -bearing
     if anchors_m is None:
         vrps[0, 1] = 0.0
     mean[layout.walls] = vrps.ravel()
@@ -182,20 +185,30 @@ def _bearing_std(wall: GaussianVrp) -> float:
 
 
 def _wall_prior(
-    walls: Sequence[GaussianVrp], vrps: Array, to_gauge: Array, layout: Layout, turning: bool
+    walls: Sequence[GaussianVrp],
+    vrps: Array,
+    to_gauge: Array,
+    layout: Layout,
+    echo_bias_std_m: float,
+    turning: bool,
 ) -> Array:
-    """Covariance (n, n) of theta and the VRPs in the gauge frame.
+    """Covariance (n, n) of theta, the heading, the echo bias and the VRPs in the gauge frame.
 
     If the first wall is the gauge's reference (``turning``), an error of its bearing turns all
-    the others the other way.
+    the others the other way. The echo bias made all walls too far by it, in range.
     """
     count = len(walls)
-    errors = np.zeros((2 * count, 2 * count))
+    errors = np.zeros((2 * count + 1, 2 * count + 1))
+    errors[-1, -1] = echo_bias_std_m**2
+    linear = np.zeros((layout.size, 2 * count + 1))
+    linear[ECHO_BIAS, -1] = 1.0
     for i, wall in enumerate(walls):
-        errors[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = to_gauge @ wall.covariance_m2 @ to_gauge.T
-    linear = np.zeros((layout.size, 2 * count))
+        own = to_gauge @ own_covariance(wall, echo_bias_std_m) @ to_gauge.T
+        errors[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = own
+        linear[layout.wall(i), -1] = -2.0 * vrps[i] / np.linalg.norm(vrps[i])
     if turning:
         linear[THETA, 1] = 1.0 / vrps[0, 0]
+        linear[HEADING] = -linear[THETA]
     for i in range(count):
         wall_columns = layout.wall(i)
         linear[wall_columns, 2 * i : 2 * i + 2] += np.eye(2)

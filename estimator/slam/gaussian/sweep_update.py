@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,9 @@ from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.models.directions import wrapped
 from estimator.slam.models.hypotheses import Hypotheses, log_sum_exp
 from estimator.slam.models.kalman import projected, scalar_update
-from estimator.slam.models.settings import Settings, positive
-from estimator.slam.models.state_vector import THETA, Layout
-from estimator.slam.models.sweeps import flash_of
+from estimator.slam.models.settings import Settings, not_negative, positive, probability
+from estimator.slam.models.state_vector import ECHO_BIAS, FIRST_ANCHOR, PER_ANCHOR, THETA, Layout
+from estimator.slam.models.sweeps import FLASH_ENTRIES, flash_of, own_covariance
 from estimator.slam.models.visibility import Visibility
 
 __all__ = ["SweepMatching", "take_sweep"]
@@ -49,12 +50,50 @@ class SweepMatching(Settings):
         sweep, anywhere within 20 m.
     heading_scale_m : float
         Distances between flashes and walls that a common heading explains, beside their noise, metres.
+    echo_bias_std_m : float
+        Of what the covariances of flashes say of range, the part that all sweeps have in common: a standard
+        deviation, metres. It becomes a state.
+    square_share, square_std_rad : float
+        Share of new walls that stand parallel or square to a known one, and how exactly, radians.
+    rival_nats : float
+        A match no more than this likelier than another one, or than a new wall, gets that one as its rival.
+    least_new_weight : float
+        Weight of the hypotheses that must ask for a new wall; it enters those alone.
     """
 
     flash_gate_sigma: float = positive(4.0)
     unlike_gates: float = positive(1.5)
     new_flash_density: float = positive(0.5 / (20.0 * 2.0 * np.pi))
     heading_scale_m: float = positive(0.5)
+    echo_bias_std_m: float = not_negative(0.0)
+    square_share: float = probability(0.8)
+    square_std_rad: float = positive(0.01)
+    rival_nats: float = not_negative(8.0)
+    least_new_weight: float = probability(0.01)
+
+    def compiled(self, most_turn_rad: float) -> MatchModel:
+        """What compiled functions take."""
+        return MatchModel(
+            self.flash_gate_sigma,
+            self.new_flash_density,
+            self.square_share,
+            self.square_std_rad,
+            self.heading_scale_m,
+            self.rival_nats,
+            most_turn_rad,
+        )
+
+
+class MatchModel(NamedTuple):
+    """What compiled matching needs to know: fields of :class:`SweepMatching`, and the polar correction's."""
+
+    gate_sigma: float
+    new_density: float
+    square_share: float
+    square_std_rad: float
+    heading_scale_m: float
+    rival_nats: float
+    most_turn_rad: float
 
 
 @compiled
@@ -62,7 +101,7 @@ def _heading(
     layout: Layout, mean: Array, present: NDArray[np.bool_], seen: Array, noise: Array, scale_m: float
 ) -> float:
     """The turn of the agent's axes that fits a sweep best: each pairing proposes, distances vote."""
-    index, value = np.empty(5, dtype=np.int64), np.empty((2, 5))
+    index, value = np.empty(FLASH_ENTRIES, dtype=np.int64), np.empty((2, FLASH_ENTRIES))
     flash = np.empty((layout.slots, 2))
     for i in range(layout.slots):
         x, y = flash_of(layout, mean, i, index, value)
@@ -104,10 +143,10 @@ def _cost(
 ) -> tuple[float, float]:
     """Squared distance of a flash from a wall in standard deviations, and its negative log density."""
     fx, fy = flash_of(layout, mean, slot, index, value)
-    xx = projected(covariance, index, value[0], 5, first)
-    yy = projected(covariance, index, value[1], 5, second)
+    xx = projected(covariance, index, value[0], FLASH_ENTRIES, first)
+    yy = projected(covariance, index, value[1], FLASH_ENTRIES, second)
     xy = 0.0
-    for e in range(5):
+    for e in range(FLASH_ENTRIES):
         xy += value[1, e] * first[index[e]]
     a, b, c = xx + noise[0, 0], xy + noise[0, 1], yy + noise[1, 1]
     dx, dy = x - fx, y - fy
@@ -129,28 +168,59 @@ def _take(
 ) -> float:
     """Correct a Gaussian, whose last state is the heading, in place by one flash; its log density."""
     n = mean.size - 1
-    index, value = np.empty(6, dtype=np.int64), np.empty((2, 6))
-    fx, fy = flash_of(layout, mean, slot, index[:5], value[:, :5])
-    index[5], value[0, 5], value[1, 5] = n, -fy, fx
-    entries = 6 if heading_variance > 0.0 else 5
+    last = FLASH_ENTRIES
+    index, value = np.empty(last + 1, dtype=np.int64), np.empty((2, last + 1))
+    fx, fy = flash_of(layout, mean, slot, index[:last], value[:, :last])
+    index[last], value[0, last], value[1, last] = n, -fy, fx
+    entries = last + 1 if heading_variance > 0.0 else last
     fx, fy = fx - mean[n] * fy, fy + mean[n] * fx
     root = np.sqrt(noise[0, 0])  # Cholesky factor of the noise: whitened coordinates
     low = noise[0, 1] / root
     rest = np.sqrt(noise[1, 1] - low * low)
-    white, cross = np.empty((2, 6)), np.empty(n + 1)
-    for e in range(6):
+    white, cross = np.empty((2, entries)), np.empty(n + 1)
+    for e in range(entries):
         white[0, e] = value[0, e] / root
         white[1, e] = (value[1, e] - low * value[0, e] / root) / rest
     gap = (x - fx) / root
     other = (y - fy - low * (x - fx) / root) / rest
     log_density = -np.log(root * rest)
-    before = np.empty(6)
+    before = np.empty(entries)
     for e in range(entries):
         before[e] = mean[index[e]]
     log_density += scalar_update(mean, covariance, index, white[0], entries, gap, 1.0, cross)
     for e in range(entries):
         other -= white[1, e] * (mean[index[e]] - before[e])
     return float(log_density) + scalar_update(mean, covariance, index, white[1], entries, other, 1.0, cross)
+
+
+@compiled
+def _new_density(
+    layout: Layout,
+    mean: Array,
+    present: NDArray[np.bool_],
+    x: float,
+    y: float,
+    noise: Array,
+    model: MatchModel,
+) -> float:
+    """Density of a flash at (x, y) of a wall not known yet, per square metre: most stand square to known ones."""
+    reach = max(np.hypot(x, y), 1e-3)
+    along = np.arctan2(y, x) - mean[THETA]
+    variance = model.square_std_rad**2 + (noise[0, 0] * y * y - 2.0 * noise[0, 1] * x * y + noise[1, 1] * x * x) / (
+        reach**4
+    )
+    walls, square = 0, 0.0
+    first = FIRST_ANCHOR + PER_ANCHOR * layout.anchors
+    for i in range(layout.slots):
+        if present[i]:
+            turn = along - np.arctan2(mean[first + 2 * i + 1], mean[first + 2 * i])
+            turn -= 0.5 * np.pi * np.round(turn / (0.5 * np.pi))
+            square += np.exp(-0.5 * turn * turn / variance)
+            walls += 1
+    if walls:
+        square *= 2.0 * np.pi / (4.0 * walls * np.sqrt(2.0 * np.pi * variance))
+    share = model.square_share if walls else 0.0
+    return float(model.new_density / reach * (1.0 - share + share * square))
 
 
 @compiled
@@ -162,11 +232,11 @@ def _match(
     seen: Array,
     noise: Array,
     heading_variance: float,
-    gate_sigma: float,
-    new_density: float,
+    model: MatchModel,
+    forced: Index,
     slot: Index,
     nearest: Array,
-) -> float:
+) -> tuple[float, float, int, int]:
     """Match flashes with walls, the best pair first, each taken at once; the log density of all.
 
     What a flash tells of the agent makes the next pair surer. A flash is matched where that is likelier than
@@ -184,36 +254,60 @@ def _match(
         Flashes and their covariances.
     heading_variance : float
         Of the heading; 0 where it is held.
-    gate_sigma, new_density : float
-        Gate, and density of flashes of walls not yet known, per metre of range and radian.
+    model : MatchModel
+        Gate, and density of flashes of walls not yet known.
+    forced : ndarray of int64, shape (2,)
+        A flash, -1 for none, and the wall it must match, -1 for none.
     slot : ndarray of int64, shape (J,)
         Takes the wall of each flash, -1 for none.
     nearest : ndarray, shape (J,)
         Takes how far off the nearest wall is after all corrections: a squared distance.
+
+    Returns
+    -------
+    log_density : float
+        Of all flashes.
+    margin : float
+        By how much the least sure match was likelier than its best alternative, nats.
+    flash, wall : int
+        That alternative: as ``forced``.
     """
     flashes, slots = seen.shape[0], layout.slots
-    index, value = np.empty(5, dtype=np.int64), np.empty((2, 5))
+    index, value = np.empty(FLASH_ENTRIES, dtype=np.int64), np.empty((2, FLASH_ENTRIES))
     first, second = np.empty(mean.size), np.empty(mean.size)
     slot[:] = -1
     used = np.zeros(slots, dtype=np.bool_)
-    total = 0.0
-    for _ in range(flashes):
+    none = np.empty(flashes)
+    for j in range(flashes):
+        none[j] = -np.log(_new_density(layout, mean, present, seen[j, 0], seen[j, 1], noise[j], model))
+    total, margin, other_flash, other_wall = 0.0, np.inf, -1, -1
+    cost = np.empty((flashes, slots))
+    for turn in range(flashes):
         best, flash, wall = np.inf, -1, -1
         for j in range(flashes):
             if slot[j] >= 0:
                 continue
-            reach = max(np.hypot(seen[j, 0], seen[j, 1]), 1e-3)
-            none = -np.log(new_density / reach)
             for i in range(slots):
-                if not present[i] or used[i]:
+                cost[j, i] = np.inf
+                if not present[i] or used[i] or (j == forced[0] and i != forced[1]):
                     continue
-                square, cost = _cost(
+                square, own = _cost(
                     layout, mean, covariance, i, seen[j, 0], seen[j, 1], noise[j], index, value, first, second
                 )
-                if square < gate_sigma**2 and cost < none and cost - none < best:
-                    best, flash, wall = cost - none, j, i
+                if square < model.gate_sigma**2:
+                    cost[j, i] = own
+                    gain = own - none[j] - (1e6 if j == forced[0] else 0.0)
+                    if gain < min(best, 0.0):
+                        best, flash, wall = gain, j, i
         if flash < 0:
             break
+        if flash != forced[0]:
+            gap, rival = none[flash] - cost[flash, wall], -1
+            for i in range(slots):
+                if i != wall and cost[flash, i] - cost[flash, wall] < gap:
+                    gap, rival = cost[flash, i] - cost[flash, wall], i
+            if gap < margin:
+                margin, other_flash, other_wall = gap, flash, rival
         slot[flash] = wall
         used[wall] = True
         total += _take(
@@ -224,39 +318,37 @@ def _match(
         if slot[j] >= 0:
             continue
         nearest[j] = np.inf
-        total += np.log(new_density / max(np.hypot(seen[j, 0], seen[j, 1]), 1e-3))
+        total -= none[j]
+        if j == forced[0]:
+            continue
         for i in range(slots):
             if present[i]:
                 square, _ = _cost(
                     layout, mean, covariance, i, seen[j, 0], seen[j, 1], noise[j], index, value, first, second
                 )
                 nearest[j] = min(nearest[j], square)
-    return total
+    return total, margin, other_flash, other_wall
 
 
 @compiled
 def _update(
-    layout: Layout,
-    hypotheses: Hypotheses,
-    seen: Array,
-    noise: Array,
-    held: bool,
-    gate_sigma: float,
-    new_density: float,
-    scale_m: float,
-    most_turn_rad: float,
-) -> Array:
-    """Correct all hypotheses in place; how far off (R, J) the nearest wall of each is for each flash."""
-    count, flashes = hypotheses.log_weight.size, seen.shape[0]
-    nearest = np.empty((count, flashes))
+    layout: Layout, hypotheses: Hypotheses, before: int, seen: Array, noise: Array, held: bool, model: MatchModel
+) -> tuple[int, Array]:
+    """Correct the first ``before`` hypotheses in place; the others are room for rivals, where matches are in doubt.
+
+    How many there are then, and how far off (R, J) the nearest wall of each is for each flash.
+    """
+    flashes, n = seen.shape[0], hypotheses.mean.shape[1]
+    nearest = np.empty((2 * before, flashes))
     back, spread = np.empty(seen.shape), np.empty(noise.shape)
     slot = np.empty(flashes, dtype=np.int64)
-    n = hypotheses.mean.shape[1]
-    for r in range(count):
-        mean, covariance = hypotheses.mean[r], hypotheses.covariance[r]
+    count = before
+    forced = np.empty(2, dtype=np.int64)
+    for r in range(before):
+        mean, covariance = hypotheses.mean[r].copy(), hypotheses.covariance[r].copy()
         turn = 0.0
         if not held:
-            turn = _heading(layout, mean, hypotheses.present[r], seen, noise, scale_m)
+            turn = _heading(layout, mean, hypotheses.present[r], seen, noise, model.heading_scale_m)
         c, s = np.cos(turn), np.sin(turn)
         for j in range(flashes):
             back[j, 0] = c * seen[j, 0] + s * seen[j, 1]
@@ -266,33 +358,50 @@ def _update(
             spread[j, 1, 1] = s * s * xx - 2.0 * c * s * xy + c * c * yy
             spread[j, 0, 1] = c * s * (yy - xx) + (c * c - s * s) * xy
             spread[j, 1, 0] = spread[j, 0, 1]
-        wide_mean, wide = np.zeros(n + 1), np.zeros((n + 1, n + 1))
-        wide_mean[:n] = mean
-        wide[:n, :n] = covariance
         heading_variance = 0.0 if held else _ANY_HEADING_RAD2
-        wide[n, n] = heading_variance
-        hypotheses.log_weight[r] += _match(
-            layout,
-            wide_mean,
-            wide,
-            hypotheses.present[r],
-            back,
-            spread,
-            heading_variance,
-            gate_sigma,
-            new_density,
-            slot,
-            nearest[r],
-        )
-        before = mean.copy()
-        mean[:] = wide_mean[:n]
-        covariance[:, :] = wide[:n, :n]
-        for j in range(flashes):
-            if slot[j] >= 0:
-                hypotheses.support[r, slot[j]] += 1
-        if most_turn_rad > 0.0:
-            correct_along_circles(layout, before, mean, covariance, hypotheses.located[r], most_turn_rad)
-    return nearest
+        forced[:] = -1
+        support, weight = hypotheses.support[r].copy(), hypotheses.log_weight[r]
+        for attempt in range(2):
+            at = r if attempt == 0 else count
+            wide_mean, wide = np.zeros(n + 1), np.zeros((n + 1, n + 1))
+            wide_mean[:n] = mean
+            wide[:n, :n] = covariance
+            wide[n, n] = heading_variance
+            density, margin, flash, wall = _match(
+                layout,
+                wide_mean,
+                wide,
+                hypotheses.present[r],
+                back,
+                spread,
+                heading_variance,
+                model,
+                forced,
+                slot,
+                nearest[at],
+            )
+            if attempt:
+                hypotheses.located[at], hypotheses.present[at] = hypotheses.located[r], hypotheses.present[r]
+                hypotheses.visibility[at], hypotheses.support[at] = hypotheses.visibility[r], support
+                count += 1
+            hypotheses.log_weight[at] = weight + density
+            hypotheses.mean[at], hypotheses.covariance[at] = wide_mean[:n], wide[:n, :n]
+            for j in range(flashes):
+                if slot[j] >= 0:
+                    hypotheses.support[at, slot[j]] += 1
+            if model.most_turn_rad > 0.0:
+                correct_along_circles(
+                    layout,
+                    mean,
+                    hypotheses.mean[at],
+                    hypotheses.covariance[at],
+                    hypotheses.located[at],
+                    model.most_turn_rad,
+                )
+            if not margin < model.rival_nats:
+                break
+            forced[0], forced[1] = flash, wall
+    return count, nearest
 
 
 def take_sweep(
@@ -328,38 +437,35 @@ def take_sweep(
         return state
     to_gauge = rotation_matrix(-state.bearing_rad)
     seen = np.array([wall.mean_m for wall in sweep]) @ to_gauge.T
-    noise = np.array([to_gauge @ wall.covariance_m2 @ to_gauge.T for wall in sweep])
-    corrected = state.hypotheses.take(np.arange(state.hypotheses.number))
-    nearest = _update(
-        state.layout,
-        corrected,
-        seen,
-        noise,
-        heading_held,
-        model.flash_gate_sigma,
-        model.new_flash_density,
-        model.heading_scale_m,
-        most_turn_rad,
+    noise = np.array([to_gauge @ own_covariance(wall, model.echo_bias_std_m) @ to_gauge.T for wall in sweep])
+    room = state.hypotheses.take(np.tile(np.arange(state.hypotheses.number), 2))
+    count, nearest = _update(
+        state.layout, room, state.hypotheses.number, seen, noise, heading_held, model.compiled(most_turn_rad)
     )
-    best = nearest[corrected.best]
+    corrected, nearest = room.take(np.arange(count)), nearest[:count]
     evidence = log_sum_exp(corrected.log_weight)
     corrected.log_weight[...] -= evidence
     state = state.but(hypotheses=corrected, log_evidence=state.log_evidence + evidence)
     if heading_held:
-        for j in np.flatnonzero(best > (model.unlike_gates * model.flash_gate_sigma) ** 2).tolist():
-            state = _enter(state, seen[j], noise[j], visibility)
+        unlike = nearest > (model.unlike_gates * model.flash_gate_sigma) ** 2
+        weight = np.exp(corrected.log_weight)
+        for j in range(len(seen)):
+            if weight[unlike[:, j]].sum() > model.least_new_weight:
+                state = _enter(state, np.flatnonzero(unlike[:, j]), seen[j], noise[j], visibility)
     return state
 
 
-def _enter(state: GaussianState, seen: Array, noise: Array, visibility: Visibility) -> GaussianState:
-    """Give all hypotheses the wall whose flash no known wall explains."""
+def _enter(state: GaussianState, members: Index, seen: Array, noise: Array, visibility: Visibility) -> GaussianState:
+    """Give some hypotheses the wall whose flash no wall of theirs explains."""
     state, slot = open_slot(state, visibility)
     layout, columns = state.layout, state.layout.wall(slot)
     new = state.hypotheses.take(np.arange(state.hypotheses.number))
-    for r in range(new.number):
+    for r in members.tolist():
         mean, covariance = new.mean[r], new.covariance[r]
         turn = rotation_matrix(-float(mean[THETA]))
         gauge, agent = turn @ seen, mean[:2]
+        along = gauge / np.linalg.norm(gauge)
+        gauge = gauge - 2.0 * float(mean[ECHO_BIAS]) * along
         # v = (1 + 2 p.m / |m|^2) m stands where p's image relative to p is m
         square = gauge @ gauge
         scale = 1.0 + 2.0 * (agent @ gauge) / square
@@ -370,6 +476,7 @@ def _enter(state: GaussianState, seen: Array, noise: Array, visibility: Visibili
         linear = np.zeros((2, layout.size))
         linear[:, :2] = by_agent
         linear[:, THETA] = by_flash @ (-_QUARTER @ gauge)
+        linear[:, ECHO_BIAS] = -2.0 * by_flash @ along
         spread = by_flash @ turn @ noise @ turn.T @ by_flash.T
         mean[columns] = scale * gauge
         covariance[columns, :] = linear @ covariance

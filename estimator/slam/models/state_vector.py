@@ -7,7 +7,10 @@ wall (slot 0), whose y coordinate is therefore zero without uncertainty. The ang
 estimator's frame is one more state: path delays do not depend on it, so passive
 measurements cannot make the filter believe that they tell the rotation of the map.
 
-    [x, y, vx, vy, theta, (x, y, w, b) per anchor, (x, y) per wall slot]
+    [x, y, vx, vy, theta, e, psi, (x, y, w, b) per anchor, (x, y) per wall slot]
+
+``e`` is the echo bias, metres: all ranges of all sweeps are too long by it, since one front end took them.
+``psi`` is the direction of the agent's body in the gauge frame, radians, which odometry turns on.
 
 ``w`` is the squared height difference of anchor and agent, square metres: a path of
 horizontal length d is ``sqrt(d^2 + w)`` long. ``b`` is the anchor's clock bias, metres: it
@@ -23,12 +26,24 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-__all__ = ["AGENT", "FIRST_ANCHOR", "NOWHERE_M", "PER_ANCHOR", "POSITION", "THETA", "Layout"]
+__all__ = [
+    "AGENT",
+    "ECHO_BIAS",
+    "FIRST_ANCHOR",
+    "HEADING",
+    "NOWHERE_M",
+    "PER_ANCHOR",
+    "POSITION",
+    "THETA",
+    "Layout",
+]
 
 POSITION: Final = slice(0, 2)
 AGENT: Final = slice(0, 4)
 THETA: Final = 4
-FIRST_ANCHOR: Final = 5
+ECHO_BIAS: Final = 5
+HEADING: Final = 6
+FIRST_ANCHOR: Final = 7
 PER_ANCHOR: Final = 4
 NOWHERE_M: Final = 1e4  # coordinates of unknown anchors and of the VRPs of empty slots
 
