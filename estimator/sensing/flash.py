@@ -108,7 +108,13 @@ class FlashConfig:
         for name in ("range_std_m", "azimuth_std_rad", "rule_range_m", "rule_azimuth_rad"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ConfigurationError(f"{name}: expected a positive number, got {getattr(self, name)}")
-        for name in ("common_range_std_m", "same_direction_rad", "sidelobe_db", "diffuse_db", "pair_margin_db"):
+        for name in (
+            "common_range_std_m",
+            "same_direction_rad",
+            "sidelobe_db",
+            "diffuse_db",
+            "pair_margin_db",
+        ):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ConfigurationError(
                     f"{name}: expected 0 or a positive number, got {getattr(self, name)}"

@@ -206,9 +206,9 @@ def _new_density(
     """Density of a flash at (x, y) of a wall not known yet, per square metre: most stand square to known ones."""
     reach = max(np.hypot(x, y), 1e-3)
     along = np.arctan2(y, x) - mean[THETA]
-    variance = model.square_std_rad**2 + (noise[0, 0] * y * y - 2.0 * noise[0, 1] * x * y + noise[1, 1] * x * x) / (
-        reach**4
-    )
+    variance = model.square_std_rad**2 + (
+        noise[0, 0] * y * y - 2.0 * noise[0, 1] * x * y + noise[1, 1] * x * x
+    ) / (reach**4)
     walls, square = 0, 0.0
     first = FIRST_ANCHOR + PER_ANCHOR * layout.anchors
     for i in range(layout.slots):
@@ -332,7 +332,13 @@ def _match(
 
 @compiled
 def _update(
-    layout: Layout, hypotheses: Hypotheses, before: int, seen: Array, noise: Array, held: bool, model: MatchModel
+    layout: Layout,
+    hypotheses: Hypotheses,
+    before: int,
+    seen: Array,
+    noise: Array,
+    held: bool,
+    model: MatchModel,
 ) -> tuple[int, Array]:
     """Correct the first ``before`` hypotheses in place; the others are room for rivals, where matches are in doubt.
 
@@ -455,7 +461,9 @@ def take_sweep(
     return state
 
 
-def _enter(state: GaussianState, members: Index, seen: Array, noise: Array, visibility: Visibility) -> GaussianState:
+def _enter(
+    state: GaussianState, members: Index, seen: Array, noise: Array, visibility: Visibility
+) -> GaussianState:
     """Give some hypotheses the wall whose flash no wall of theirs explains."""
     state, slot = open_slot(state, visibility)
     layout, columns = state.layout, state.layout.wall(slot)

@@ -68,8 +68,10 @@ def test_a_bad_flash_of_a_known_wall_is_no_new_wall(room, sigma, entered):
         models.corrections.most_turn_rad,
         models.visibility,
     )
-    assert np.sum(after.slots.wall_id >= 0) - np.sum(state.slots.wall_id >= 0) == entered
-    moved = np.linalg.norm(after.hypotheses.mean[:, :2] - state.hypotheses.mean[:, :2])
+    best = after.hypotheses.best
+    walls = after.hypotheses.present[best].sum() - state.hypotheses.present[state.hypotheses.best].sum()
+    assert walls == entered
+    moved = np.linalg.norm(after.hypotheses.mean[best, :2] - state.hypotheses.mean[state.hypotheses.best, :2])
     assert (moved > 1e-6) == (sigma == 3.0)
 
 

@@ -69,9 +69,9 @@ def test_a_sweep_is_a_joint_update(held):
     np.testing.assert_allclose(after.hypotheses.mean[0], mean, atol=8e-3)
     np.testing.assert_allclose(after.hypotheses.covariance[0], covariance, atol=1e-3)
     assert after.log_evidence == pytest.approx(log_density, abs=0.1)
-    assert after.hypotheses.log_weight[0] == 0.0
+    assert after.hypotheses.log_weight[0] > -0.01  # a rival whose match is another one may stand beside it
     assert not np.array_equal(state.hypotheses.mean, after.hypotheses.mean)
-    assert after.slots.wall_id.tolist() == [0, 1, 2]
+    assert after.hypotheses.present[0].tolist()[:3] == [True, True, True]
 
 
 def test_any_heading_gives_the_same_correction():
@@ -101,8 +101,12 @@ def test_flashes_are_matched_one_to_one():
     flash = flashes(state)[0]
     alone = swept(state, [flash[0]])
     both = swept(state, [flash[0] + [0.5, 0.3], flash[0]])
-    np.testing.assert_allclose(both.hypotheses.mean, alone.hypotheses.mean, atol=1e-12)
-    assert both.slots.wall_id.tolist() == [0, 1, 2]
+    np.testing.assert_allclose(
+        both.hypotheses.mean[0, : state.layout.size],
+        alone.hypotheses.mean[0, : state.layout.size],
+        atol=1e-12,
+    )
+    assert not both.hypotheses.present[both.hypotheses.best, 3:].any()
 
 
 @pytest.mark.parametrize("held", [True, False])

@@ -80,7 +80,7 @@ def test_an_unknown_heading_is_integrated_out():
         np.testing.assert_allclose(found[0], expected[0][:-1], atol=1e-6)
         np.testing.assert_allclose(found[1], expected[1][:-1, :-1], atol=1e-8)
     before = np.sqrt(covariance[THETA, THETA])
-    assert np.sqrt(found[1][THETA, THETA]) > 0.99 * before
+    assert np.sqrt(found[1][THETA, THETA]) > 0.96 * before
 
 
 def test_a_direction_off_the_common_heading_is_left_out():

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.slam.models.state_vector import AGENT, FIRST_ANCHOR, POSITION, THETA, Layout
+from estimator.slam.models.state_vector import (
+    AGENT,
+    ECHO_BIAS,
+    FIRST_ANCHOR,
+    HEADING,
+    POSITION,
+    THETA,
+    Layout,
+)
 
 
 @pytest.mark.parametrize("shared", [True, False])
@@ -15,7 +23,8 @@ def test_every_coordinate_stands_once(shared, anchors, slots):
     layout = Layout(anchors, slots, shared)
     count = np.zeros(layout.size, dtype=int)
     count[AGENT] += 1
-    count[THETA] += 1
+    for index in (THETA, ECHO_BIAS, HEADING):
+        count[index] += 1
     for k in range(anchors):
         count[layout.anchor(k)] += 1
         assert layout.anchor_xy(k).start == layout.anchor(k).start
