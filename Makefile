@@ -36,7 +36,8 @@ soak: $(VENV)/.dev
 	@HAPSLAM_TEST_KILLS=200 HAPSLAM_TEST_RESTARTS=10 HAPSLAM_TEST_BODIES=2000 HAPSLAM_TEST_EXAMPLES=100 \
 	    HAPSLAM_TEST_HOSTILE=5000 \
 	    $(BIN)/python -m pytest -m "soak or not soak" \
-	    tests/service/test_durability.py tests/service/test_fuzz.py tests/service/test_hostile_files.py $(ARGS)
+	    tests/service/storage/test_durability.py tests/service/api/test_fuzz.py \
+	    tests/service/api/test_hostile_files.py $(ARGS)
 	@$(BIN)/python -m pytest -m soak $(ARGS)
 	@$(BIN)/hapslam bench --only service
 

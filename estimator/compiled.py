@@ -27,7 +27,7 @@ import numba
 from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 
-__all__ = ["cache_folder", "compiled"]
+__all__ = ["cache_folder", "compiled", "compiled_here"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 _LOG = logging.getLogger("hapslam")
@@ -62,6 +62,14 @@ def cache_folder() -> Path | None:
         if path is not None:
             return Path(path)
     return None
+
+
+def compiled_here() -> bool:
+    """Whether this process has compiled a function, rather than loaded what another had compiled.
+
+    What the compiler allocated stays with the process: some hundred MiB for the whole engine.
+    """
+    return _ANNOUNCER.told
 
 
 def _fingerprint(function: Callable[..., Any]) -> str:
@@ -108,4 +116,5 @@ class _Announcer(event.Listener):  # type: ignore[misc]
         """It has been compiled."""
 
 
-event.register("numba:compile", _Announcer())
+_ANNOUNCER = _Announcer()
+event.register("numba:compile", _ANNOUNCER)

@@ -1,4 +1,4 @@
-"""Errors of the service; :mod:`service.refusals` says how each is answered."""
+"""Errors of the service; :mod:`service.api.refusals` says how each is answered."""
 
 from __future__ import annotations
 

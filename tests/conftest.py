@@ -83,7 +83,7 @@ def hapslam() -> Callable[..., Run]:
 
     def run(*arguments: object, cwd: Path | None = None, **environment: str) -> Run:
         done = subprocess.run(
-            [sys.executable, "-c", "from service.cli import main; main()", *map(str, arguments)],
+            [sys.executable, "-c", "from service.cli.main import main; main()", *map(str, arguments)],
             cwd=cwd,
             env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
             capture_output=True,
@@ -111,7 +111,7 @@ def demo(hapslam: Callable[..., Run], once: Once) -> tuple[Path, Run]:
 @pytest.fixture
 def main(capfd: pytest.CaptureFixture[str]) -> Callable[..., Run]:
     """Runs ``hapslam ARGUMENTS`` in this process: fast, for commands that do not trace."""
-    from service.cli import main as entry
+    from service.cli.main import main as entry
 
     def run(*arguments: object) -> Run:
         capfd.readouterr()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-LATE = {"cli.py", "cli_dataset.py", "cli_scene.py", "raytrace_rows.py"}  # of the service, import raytrace
+LATE = {"main.py", "dataset.py", "scene.py", "raytrace_rows.py"}  # of the service, import raytrace
 
 BLOCKED = """
 import importlib.abc, sys
@@ -80,7 +80,7 @@ def test_importing_loads_no_ray_tracer() -> None:
 
 def test_the_command_line_starts_light() -> None:
     """The command line imports neither NumPy nor Matplotlib before a command needs them."""
-    done = run("import service.cli, sys; print(*sys.modules)")
+    done = run("import service.cli.main, sys; print(*sys.modules)")
     assert done.returncode == 0, done.stderr
     assert not {"numpy", "scipy", "xarray", "matplotlib"} & set(done.stdout.split())
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from service.bench.server import running
 from service.client import Client
-from service.example import example
+from service.session.example import example
 
 __all__ = ["LoadConfig", "measure_load"]
 

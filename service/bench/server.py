@@ -63,7 +63,7 @@ def running(workers: int, database: str | None = None) -> Iterator[MeasuredServe
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             port = int(probe.getsockname()[1])
-        command = [sys.executable, "-c", "from service.cli import main; main()", "serve"]
+        command = [sys.executable, "-c", "from service.cli.main import main; main()", "serve"]
         options = ["--port", str(port), "--database", url, "--workers", str(workers)]
         begin = time.perf_counter()
         with (Path(folder) / "log").open("wb") as log:

@@ -10,7 +10,7 @@ from service.bench.memory import POSTED, measure_memory
 from service.bench.rows import Row
 from service.bench.server import running
 from service.client import Client
-from service.example import example
+from service.session.example import example
 
 __all__ = ["rows"]
 

@@ -22,7 +22,7 @@ import pytest
 from estimator.measurements import MeasurementSet, save_measurements
 from estimator.simulate import SimulationConfig, measure_scene
 from service.client import Client
-from service.push import epoch_entry, session_entry, sweep_entry
+from service.messages.requests import epoch_entry, session_entry, sweep_entry
 from tests.service.harness import Server
 
 PATIENCE_S = 60.0

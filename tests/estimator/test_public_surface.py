@@ -77,7 +77,7 @@ def test_importing_the_package_is_free() -> None:
 @pytest.mark.parametrize(
     ("module", "absent"),
     [
-        ("service.cli", {"numpy", "rich.progress"}),
+        ("service.cli.main", {"numpy", "rich.progress"}),
         ("estimator.executors", {"numpy"}),
         ("estimator.pipeline", {"numba", "xarray", "matplotlib", "scipy"}),
         ("estimator.slam", {"xarray", "matplotlib", "scipy.linalg", "scipy.optimize", "scipy.stats"}),

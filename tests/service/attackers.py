@@ -22,7 +22,7 @@ from typing import Any
 import httpx2
 import numpy as np
 
-from service.example import example
+from service.session.example import example
 
 _JSON = {"Content-Type": "application/json"}
 _BINARY = {"Content-Type": "application/octet-stream"}

@@ -15,9 +15,9 @@ from estimator.measurements import Epoch, MeasurementSet
 from estimator.result import SlamResult
 from estimator.simulate import SimulationConfig, measure_scene
 from estimator.slam import run_slam
-from service.app import create_app
+from service.api.app import create_app
+from service.api.telemetry import configure_logs
 from service.settings import load_settings
-from service.telemetry import configure_logs
 
 SEED = 4
 

@@ -23,7 +23,7 @@ from estimator.measurements import MeasurementSet
 from estimator.result import load_result
 from estimator.slam import run_slam
 from service.client import Client
-from service.push import epoch_entry, session_entry, sweep_entry
+from service.messages.requests import epoch_entry, session_entry, sweep_entry
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 4
@@ -51,7 +51,7 @@ class Server:
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}"
         self._command = [
-            *(sys.executable, "-c", "from service.cli import main; main()", "serve"),
+            *(sys.executable, "-c", "from service.cli.main import main; main()", "serve"),
             *("--port", str(self.port), "--database", database, "--workers", str(workers)),
         ]
         self._log = log

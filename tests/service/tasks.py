@@ -6,7 +6,7 @@ import os
 import time
 from dataclasses import dataclass
 
-from service.worker import TaskContext
+from service.session.tasks import TaskContext
 
 
 @dataclass(frozen=True)

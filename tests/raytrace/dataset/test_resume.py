@@ -172,7 +172,15 @@ def _killed(plan: Path, room: Path, rng: np.random.Generator, jobs: int) -> bool
     """Start or go on with a generation, and kill it at a random moment; False if it ended before."""
     process = subprocess.Popen(
         [
-            *(sys.executable, "-c", "from service.cli import main; main()", "trace", plan, "--out", room),
+            *(
+                sys.executable,
+                "-c",
+                "from service.cli.main import main; main()",
+                "trace",
+                plan,
+                "--out",
+                room,
+            ),
             *("--shard-epochs", "2", "--resume", "--quiet", "--jobs", str(jobs)),
         ],
         env={**os.environ, "PYTHONPATH": str(ROOT)},

@@ -1,0 +1,1 @@
+"""The HTTP face: the application, who may do what, and the routes."""

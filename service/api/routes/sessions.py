@@ -1,0 +1,182 @@
+"""Sessions: make, list, read, delete."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from datetime import UTC, datetime, timedelta
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from sqlalchemy import Row
+
+from estimator.slam.methods import PAIRS
+from service.api.auth import Caller
+from service.api.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
+from service.errors import TooLargeError, TooManyError
+from service.messages.documents import dump
+from service.messages.schemas import SessionRequest, Truth
+from service.session.bodies import ParseTask, json_content
+from service.session.fold import engine_of
+from service.session.sessions import new_session_id
+
+__all__ = ["OnceDep", "create_session", "read", "router", "session_document"]
+
+router = APIRouter(prefix="/v1", tags=["sessions"])
+Once = tuple[str, bytes] | None
+
+
+async def _once(
+    request: Request,
+    idempotency_key: Annotated[str | None, Header(min_length=1, max_length=200, pattern="^[!-~]+$")] = None,
+) -> Once:
+    """The request's Idempotency-Key, and a digest of all that the request asks for."""
+    if idempotency_key is None:
+        return None
+    asked = f"{request.url.path}?{request.url.query}".encode()
+    return idempotency_key, hashlib.sha256(asked + b"\n" + await request.body()).digest()
+
+
+OnceDep = Annotated[Once, Depends(_once)]
+
+
+@router.get("/methods", summary="What a session's method and engine may be")
+async def methods(who: CallerDep) -> list[dict[str, str]]:
+    """Pairs of method (what is known and sensed) and engine (how inference is done)."""
+    return [{"method": method, "engine": engine} for method, engine in PAIRS]
+
+
+@router.post(
+    "/sessions", status_code=201, summary="Make a session", openapi_extra=json_content(SessionRequest)
+)
+async def create(
+    request: Request, here: ContextDep, who: CallerDep, response: Response, once: OnceDep
+) -> dict[str, Any]:
+    """Make a session; measurements go to the address in ``Location``.
+
+    With an `Idempotency-Key` the same request again makes no other session.
+    """
+    body, nowhere = await request.body(), SessionAccess("", who.key_id)
+    wanted = await here.parsed(nowhere, body, ParseTask(SessionRequest, body))
+    session, _ = await create_session(wanted, here, who, once)
+    response.headers["Location"] = f"/v1/sessions/{session.id}"
+    return await read(session, here)
+
+
+async def create_session(
+    request: SessionRequest, here: Context, who: Caller, once: Once = None
+) -> tuple[SessionAccess, bool]:
+    """Make a session for a caller, within the limits, or find the one that the request made before.
+
+    Returns
+    -------
+    SessionAccess
+        The session.
+    bool
+        Whether it is new.
+    """
+    if len(request.anchors) > here.settings.max_anchors:
+        raise TooLargeError(
+            f"anchors: expected at most {here.settings.max_anchors}, got {len(request.anchors)}"
+        )
+    config = request.config()
+    engine_of(config)
+    limit, new = here.settings.max_sessions_per_key, new_session_id()
+    made = await here.run(here.store.create, new, who.key_id, request.name, dump(config), limit, once)
+    if made is None:
+        raise TooManyError(f"expected at most {limit} sessions of a key; delete some")
+    return SessionAccess(made, who.key_id), made == new
+
+
+@router.get("/sessions", summary="List sessions")
+async def list_sessions(
+    here: ContextDep,
+    who: CallerDep,
+    limit: Annotated[int, Query(ge=1, le=500)] = 50,
+    before: Annotated[
+        str | None, Query(pattern="^[0-9a-f]{32}$", description="`next` of the page before.")
+    ] = None,
+) -> dict[str, Any]:
+    """Sessions of the caller's key, the newest first, a page at a time."""
+    if who.session_id is not None:
+        only = await here.run(here.store.session, who.session_id, who.key_id)
+        return {"sessions": [session_document(only)], "next": None}
+    rows = await here.run(here.store.sessions, who.key_id, before, limit)
+    return {
+        "sessions": [session_document(row) for row in rows],
+        "next": rows[-1].id if len(rows) == limit else None,
+    }
+
+
+@router.get("/sessions/{session_id}", summary="Read a session")
+async def read(session: SessionDep, here: ContextDep) -> dict[str, Any]:
+    """The session's configuration, and what it expects next."""
+    return session_document(await here.run(here.store.session, session.id, session.key_id))
+
+
+@router.delete("/sessions/{session_id}", status_code=204, summary="Delete a session")
+async def delete(session: SessionDep, here: ContextDep) -> None:
+    """Delete a session with its measurements, its state and its estimates."""
+    await here.run(here.store.delete, session.id, session.key_id)
+    here.bell.ring(session.id)
+
+
+@router.post("/sessions/{session_id}/shares", status_code=201, summary="Share a session")
+async def share(
+    session: SessionDep,
+    here: ContextDep,
+    hours: Annotated[float, Query(gt=0.0, le=8766.0, description="Until the share expires.")] = 24.0,
+) -> dict[str, str]:
+    """Make a key to this session alone that only reads and expires; it cannot be shown again.
+
+    The page opens it at `link`, whose part after `#` no server and no log sees.
+    """
+    await here.run(here.store.session, session.id, session.key_id)
+    expires_at = datetime.now(UTC) + timedelta(hours=hours)
+    key = await here.run(here.keys.share, session.id, expires_at)
+    return {"key": key, "expires_at": _instant(expires_at), "link": f"/#/s/{session.id}/{key}"}
+
+
+@router.put(
+    "/sessions/{session_id}/truth",
+    status_code=204,
+    summary="Give the truth, for comparison",
+    openapi_extra=json_content(Truth),
+)
+async def put_truth(request: Request, session: SessionDep, here: ContextDep) -> None:
+    """Walls, anchors and track that the page draws beside the estimates; no engine sees them."""
+    body = await request.body()
+    await here.run(here.store.session, session.id, session.key_id)
+    truth = await here.parsed(session, body, ParseTask(Truth, body))
+    await here.run(here.store.set_truth, session.id, session.key_id, truth.model_dump_json())
+
+
+@router.get("/sessions/{session_id}/truth", summary="Read the truth", response_class=Response)
+async def get_truth(session: SessionDep, here: ContextDep) -> Response:
+    """The truth that was given, null if none was."""
+    return Response(await here.run(_truth, here, session) or "null", media_type="application/json")
+
+
+def _truth(here: Context, session: SessionAccess) -> str | None:
+    with here.store.reading() as connection:
+        here.store.session(session.id, session.key_id, connection)
+        return here.store.truth(session.id, connection)
+
+
+def session_document(row: Row[Any]) -> dict[str, Any]:
+    """A session's row as the service shows it."""
+    return {
+        "id": row.id,
+        "name": row.name,
+        "created_at": _instant(row.created_at),
+        "updated_at": _instant(row.updated_at),
+        "next_sweep": row.next_sweep,
+        "next_epoch": row.next_epoch,
+        "time_s": row.time_s,
+        **json.loads(row.config),
+    }
+
+
+def _instant(value: datetime) -> str:
+    aware = value if value.tzinfo else value.replace(tzinfo=UTC)
+    return aware.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

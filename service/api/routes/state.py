@@ -1,0 +1,133 @@
+"""State out: the estimates at any epoch, the trajectory, the map, and files of everything."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Response
+
+from service.api.context import Context, ContextDep, SessionAccess, SessionDep
+from service.session.reads import ExportRead, MapRead, MeasurementsRead, PictureRead, SmoothRead, TrackRead
+from service.session.results import latest_epoch
+from service.session.tasks import Task
+from service.session.workers import Lane
+
+__all__ = ["router"]
+
+router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["state"])
+
+EpochQuery = Annotated[
+    int | None, Query(ge=0, le=2**31 - 2, description="Epoch to look at; by default the latest.")
+]
+_JSON, _NETCDF = "application/json", "application/x-netcdf"
+
+
+@router.get("/state", summary="Estimates at an epoch", response_class=Response)
+async def state(session: SessionDep, here: ContextDep, epoch: EpochQuery = None) -> Response:
+    """Agent, anchors and walls with covariances, in the estimator's frame."""
+
+    def look() -> str:
+        with here.store.reading() as connection:
+            row = here.store.session(session.id, session.key_id, connection)
+            return here.store.estimate(row.id, latest_epoch(row, epoch), connection) or "null"
+
+    return Response(await here.run(look), media_type=_JSON)
+
+
+@router.get("/trajectory", summary="The agent's track", response_class=Response)
+async def trajectory(
+    session: SessionDep,
+    here: ContextDep,
+    first: Annotated[int, Query(ge=0, le=2**31 - 2)] = 0,
+    limit: Annotated[int, Query(ge=1, le=100_000)] = 100_000,
+) -> Response:
+    """Positions with covariances epoch by epoch, as columns of equal length."""
+    return await _read(here, session, TrackRead(session.id, session.key_id, first, limit), _JSON)
+
+
+@router.get("/smoothed", summary="Track and map given all measurements", response_class=Response)
+async def smoothed(
+    session: SessionDep,
+    here: ContextDep,
+    lag: Annotated[int, Query(ge=0, le=1000, description="Epochs to look ahead; 0 for the whole run.")] = 0,
+) -> Response:
+    """The run smoothed: every epoch's agent, and the map, given all measurements, with marginal covariances.
+
+    The track as columns in the estimator's frame, the map as `map` gives it. It is computed at each
+    request, from what the session's engine found.
+    """
+    task = SmoothRead(session.id, session.key_id, lag, here.settings.max_smoothed_epochs)
+    return await _read(here, session, task, _JSON)
+
+
+@router.get("/map", summary="The map", response_class=Response)
+async def map_(
+    session: SessionDep,
+    here: ContextDep,
+    epoch: EpochQuery = None,
+    format: Literal["json", "geojson"] = "json",
+) -> Response:
+    """Walls as the segments on which reflections were seen, anchors, agent and track.
+
+    In the frame of the floor plan if the session states its start frame. GeoJSON
+    coordinates are metres of that local frame, not degrees.
+    """
+    last = await _epoch(here, session, epoch)
+    return await _read(here, session, MapRead(session.id, session.key_id, last, format), _JSON)
+
+
+@router.get("/map.svg", summary="The map as SVG", response_class=Response)
+async def map_svg(session: SessionDep, here: ContextDep, epoch: EpochQuery = None) -> Response:
+    """The map as a picture."""
+    return await _picture(here, session, epoch, "svg", "image/svg+xml")
+
+
+@router.get("/map.png", summary="The map as PNG", response_class=Response)
+async def map_png(session: SessionDep, here: ContextDep, epoch: EpochQuery = None) -> Response:
+    """The map as a picture."""
+    return await _picture(here, session, epoch, "png", "image/png")
+
+
+@router.get("/export", summary="All estimates as a result file", response_class=Response)
+async def export(session: SessionDep, here: ContextDep) -> Response:
+    """All estimates with covariances as netCDF: what ``hapslam evaluate`` and ``hapslam plot`` read."""
+    task = ExportRead(session.id, session.key_id)
+    return _named(await _read(here, session, task, _NETCDF), f"{session.id}-result.nc")
+
+
+@router.get("/measurements", summary="All measurements as a file", response_class=Response)
+async def measurements(session: SessionDep, here: ContextDep) -> Response:
+    """The measurement log as netCDF: what ``hapslam slam`` and ``hapslam push`` read."""
+    task = MeasurementsRead(session.id, session.key_id)
+    return _named(await _read(here, session, task, _NETCDF), f"{session.id}-measurements.nc")
+
+
+async def _read(here: Context, session: SessionAccess, task: Task[Any], media_type: str) -> Response:
+    return Response(await here.work(Lane.READS, session, task), media_type=media_type)
+
+
+async def _epoch(here: Context, session: SessionAccess, epoch: int | None) -> int:
+    """The epoch asked for, or the latest; raises NotFoundError or ConflictError."""
+    return latest_epoch(await here.run(here.store.session, session.id, session.key_id), epoch)
+
+
+async def _picture(
+    here: Context,
+    session: SessionAccess,
+    epoch: int | None,
+    suffix: Literal["png", "svg"],
+    media_type: str,
+) -> Response:
+    last = await _epoch(here, session, epoch)
+    name = session.id, last, suffix
+    content = here.pictures.get(name)
+    if content is None:
+        task: Task[bytes] = PictureRead(session.id, session.key_id, last, suffix)
+        content = await here.work(Lane.READS, session, task)
+        here.pictures.put(name, content)
+    return Response(content, media_type=media_type)
+
+
+def _named(response: Response, name: str) -> Response:
+    response.headers["Content-Disposition"] = f'attachment; filename="{name}"'
+    return response

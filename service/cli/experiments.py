@@ -1,0 +1,122 @@
+"""The commands of experiments: `simulate`, `reproduce`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from estimator.experiments.catalogue import FIGURES
+
+if TYPE_CHECKING:
+    from estimator.experiments.room import Room
+
+__all__ = ["register"]
+
+RoomLoader = Callable[[str], "Room"]
+
+Scene = Annotated[str, typer.Argument(help="Name of a shipped scene, or a floor plan file.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of all randomness; run i has seed + i.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+
+
+def register(app: typer.Typer, load_room: RoomLoader) -> None:
+    """Add the commands; ``load_room`` makes the room of a scene, for it takes the floor plan's reader."""
+
+    @app.command(epilog=_examples("simulate l-room --out sim.nc", "simulate l-room --with aoa --out sim.nc"))
+    def simulate(
+        scene: Scene,
+        out: Annotated[Path, typer.Option(metavar="MEASUREMENTS", help="Measurement file to write.")],
+        seed: Seed = 1,
+        options: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--with", metavar="OPTION", help="Measured in addition, or unknown: aoa, sweeps, clock."
+            ),
+        ] = None,
+        know_anchors: Annotated[
+            bool, typer.Option("--know-anchors", help="Say where the anchors are, as va and mva need it.")
+        ] = False,
+    ) -> None:
+        """Simulate measurements from geometry alone: noisy, thinned and cluttered paths, sensed walls."""
+        from estimator.dataset import require_absent
+        from estimator.experiments.cases import simulation_with
+        from estimator.measurements import save_measurements
+
+        require_absent(out)
+        config = simulation_with(options or ())
+        save_measurements(load_room(scene).measure(config, seed, know_anchors), out)
+
+    @app.command(
+        epilog=_examples(
+            "reproduce fig13 --runs 100 --out figures --json",
+            "reproduce fig13 --methods hybrid,hybrid+aoa --engine gaussian --out figures",
+            "reproduce all --out figures",
+        )
+    )
+    def reproduce(
+        figure: Annotated[str, typer.Argument(help=f"{', '.join(FIGURES)}, or all.")],
+        out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for pictures, numbers and reports.")],
+        runs: Annotated[
+            int | None, typer.Option(min=1, help="Monte-Carlo runs; by default as many as the paper's.")
+        ] = None,
+        seed: Seed = 1,
+        methods: Annotated[
+            str, typer.Option(metavar="LIST", help="METHOD[+OPTION...], comma-separated; options as --with.")
+        ] = "",
+        engine: Annotated[
+            str | None, typer.Option(help="How inference is done; by default every way there is.")
+        ] = None,
+        particles: Annotated[int, typer.Option(min=1, help="Particles of the particle engine.")] = 100_000,
+        scene: Annotated[str, typer.Option(help="Scene of the SLAM experiments.")] = "l-room",
+        jobs: Annotated[
+            int | None, typer.Option(min=1, help="Local processes; by default one for each core.")
+        ] = None,
+        scheduler: Annotated[
+            str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, instead of local processes.")
+        ] = None,
+        as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+        quiet: Quiet = False,
+    ) -> None:
+        """Recompute figures of the paper: picture, numbers, and a report beside its values and the limit."""
+        from estimator.executors import available_cores, open_workers
+        from estimator.experiments import catalogue
+        from estimator.experiments.report import as_text, require_places, write_report
+        from service.cli.progress import Reporter
+
+        names = catalogue.wanted(figure)
+        require_places(out, names)
+        chosen = [name.strip() for name in methods.split(",") if name.strip()]
+        room, reporter = load_room(scene), Reporter(quiet)
+        summaries: dict[str, Any] = {}
+        processes = jobs or (available_cores() if scheduler is None else 1)
+        with open_workers(processes, scheduler) as workers:
+            for name in names:
+                slam = figure != "all" or bool(FIGURES[name].methods)  # of all, some run no SLAM
+                with reporter.stage(name) as advance:
+                    request = catalogue.Request(
+                        room,
+                        runs,
+                        seed,
+                        chosen if slam else (),
+                        engine if slam else None,
+                        particles,
+                        workers,
+                        advance,
+                    )
+                    report = catalogue.reproduce(name, request)
+                    write_report(report, out)
+                summaries[name] = dict(report.summary)
+                if not as_json:
+                    sys.stdout.write(as_text(report) + "\n")
+        if as_json:
+            printed = summaries if figure == "all" else summaries[figure]
+            sys.stdout.write(json.dumps(printed, indent=2, allow_nan=False) + "\n")
+
+
+def _examples(*lines: str) -> str:
+    return "[bold]Examples[/]\n\n" + "\n\n".join(f"  $ hapslam {line}" for line in lines)

@@ -1,0 +1,1 @@
+"""A session: its measurement log folded into a state, in worker processes with limits."""

@@ -1,0 +1,145 @@
+"""What is made of a session's estimates on request: done in processes that read the database.
+
+Each is a task that names a session and the key it must belong to, and gives back what is sent.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from sqlalchemy import Connection, Row
+
+from service.errors import TooLargeError
+from service.messages.documents import dump
+from service.session.geojson import feature_collection
+from service.session.results import (
+    latest_epoch,
+    map_document,
+    measurements_file,
+    picture,
+    result_file,
+    session_result,
+)
+from service.session.smoothing import smoothed_document
+from service.session.tasks import TaskContext
+from service.storage.store import Store
+
+__all__ = ["ExportRead", "MapRead", "MeasurementsRead", "PictureRead", "SmoothRead", "TrackRead"]
+
+_COLUMNS = (
+    "epoch",
+    "time_s",
+    "x_m",
+    "y_m",
+    "variance_x_m2",
+    "covariance_xy_m2",
+    "variance_y_m2",
+    "rotation_std_rad",
+    "hypotheses",
+    "walls",
+)
+
+
+@dataclass(frozen=True)
+class _Read:
+    """A read of one session.
+
+    Parameters
+    ----------
+    session_id : str
+        The session.
+    key_id : str or None
+        The key it must belong to.
+    """
+
+    session_id: str
+    key_id: str | None
+
+    def run(self, context: TaskContext) -> Any:
+        """Read in one consistent transaction; raises NotFoundError or ConflictError."""
+        store = context.database
+        with store.reading() as connection:
+            return self.look(store, store.session(self.session_id, self.key_id, connection), connection)
+
+    def look(self, store: Store, row: Row[Any], connection: Connection) -> Any:
+        """What is found."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TrackRead(_Read):
+    """The track as columns of equal length, JSON."""
+
+    first: int
+    limit: int
+
+    def look(self, store: Store, row: Row[Any], connection: Connection) -> str:
+        """The columns."""
+        rows = store.track(row.id, self.first, connection, self.limit, _COLUMNS)
+        columns = list(zip(*rows, strict=True)) or [()] * len(_COLUMNS)
+        return dump(dict(zip(_COLUMNS, columns, strict=True)))
+
+
+@dataclass(frozen=True)
+class MapRead(_Read):
+    """The map at an epoch, JSON."""
+
+    epoch: int
+    format: Literal["json", "geojson"]
+
+    def look(self, store: Store, row: Row[Any], connection: Connection) -> str:
+        """The document."""
+        result = session_result(store, row, connection, self.epoch)
+        document = map_document(result, json.loads(row.config)["start_frame"])
+        return dump(feature_collection(document) if self.format == "geojson" else document)
+
+
+@dataclass(frozen=True)
+class PictureRead(_Read):
+    """The map at an epoch as a picture."""
+
+    epoch: int
+    suffix: Literal["png", "svg"]
+
+    def look(self, store: Store, row: Row[Any], connection: Connection) -> bytes:
+        """The file."""
+        return picture(session_result(store, row, connection, self.epoch), row.name, self.suffix)
+
+
+@dataclass(frozen=True)
+class ExportRead(_Read):
+    """All estimates as a result file."""
+
+    def look(self, store: Store, row: Row[Any], connection: Connection) -> bytes:
+        """The file."""
+        latest_epoch(row, None)
+        return result_file(session_result(store, row, connection))
+
+
+@dataclass(frozen=True)
+class MeasurementsRead(_Read):
+    """The measurement log as a file."""
+
+    def look(self, store: Store, row: Row[Any], connection: Connection) -> bytes:
+        """The file."""
+        return measurements_file(store, row, connection)
+
+
+@dataclass(frozen=True)
+class SmoothRead(_Read):
+    """The run smoothed, JSON."""
+
+    lag: int
+    max_epochs: int
+
+    def look(self, store: Store, row: Row[Any], connection: Connection) -> str:
+        """The document."""
+        latest_epoch(row, None)
+        if row.next_epoch > self.max_epochs:
+            raise TooLargeError(
+                f"expected a session of at most {self.max_epochs} epochs to smooth, it has {row.next_epoch}"
+            )
+        sweeps, epochs = (store.log(row.id, kind, connection) for kind in ("sweep", "epoch"))
+        return smoothed_document(row.config, sweeps, epochs, session_result(store, row, connection), self.lag)

@@ -1,0 +1,82 @@
+"""All of a session given all of its measurements: the run smoothed, as a document."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from estimator.errors import InputError
+from estimator.result import SlamResult
+from estimator.threads import one_blas_thread
+from service.messages.documents import dump, read_epoch, read_sweep
+from service.session.fold import measurement_set
+from service.session.results import map_document
+
+__all__ = ["smoothed_document"]
+
+
+@one_blas_thread()
+def smoothed_document(
+    config_text: str, sweeps: Sequence[str], epochs: Sequence[str], result: SlamResult, lag: int
+) -> str:
+    """A run smoothed, as JSON; see :func:`estimator.slam.smoothing.refine.refine`.
+
+    Parameters
+    ----------
+    config_text : str
+        The session's configuration, JSON.
+    sweeps, epochs : sequence of str
+        Its log.
+    result : SlamResult
+        What its engine made of it.
+    lag : int
+        Epochs that the smoother looks ahead; 0 for the whole run.
+
+    Raises
+    ------
+    InputError
+        If it cannot be smoothed: no wall was sensed at the start, or the measurements do not
+        determine everything.
+    """
+    from estimator.slam.smoothing.refine import RefineConfig, refine
+
+    config = json.loads(config_text)
+    walls = [wall for text in sweeps for wall in read_sweep(text)]
+    measurements = replace(measurement_set(config, walls), epochs=tuple(read_epoch(text) for text in epochs))
+    with _explained():
+        smoothed = refine(measurements, result, config=RefineConfig(lag=lag))
+        return dump(_document(smoothed, config["start_frame"]))
+
+
+@contextmanager
+def _explained() -> Iterator[None]:
+    """Numerical failures as what they are to a client: measurements that do not suffice."""
+    try:
+        yield
+    except (ArithmeticError, np.linalg.LinAlgError, IndexError, ValueError) as error:
+        raise InputError(f"expected measurements that determine the whole run: {error}") from error
+
+
+def _document(result: SlamResult, start_frame: dict[str, Any] | None) -> dict[str, Any]:
+    """The track as columns in the estimator's frame, and the map as ``GET .../map`` gives it."""
+    mean, covariance = result.agent_mean, result.agent_covariance
+    return {
+        "trajectory": {
+            "epoch": result.epoch.tolist(),
+            "time_s": result.time_s.tolist(),
+            "x_m": mean[:, 0].tolist(),
+            "y_m": mean[:, 1].tolist(),
+            "vx_m_s": mean[:, 2].tolist(),
+            "vy_m_s": mean[:, 3].tolist(),
+            "variance_x_m2": covariance[:, 0, 0].tolist(),
+            "covariance_xy_m2": covariance[:, 0, 1].tolist(),
+            "variance_y_m2": covariance[:, 1, 1].tolist(),
+            "rotation_std_rad": result.rotation_std_rad.tolist(),
+        },
+        "map": map_document(result, start_frame),
+    }

@@ -1,0 +1,1 @@
+"""Where sessions are kept: tables, transactions, migrations."""

@@ -1,0 +1,81 @@
+"""Measurements and estimates keep every bit as text."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+
+import numpy as np
+
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
+from estimator.slam import Prior, epoch_rng
+from estimator.slam.run import config_for, engine_for
+from service.messages.documents import epoch_text, estimate_document, read_epoch, read_estimate
+from service.messages.epochs import EpochsRequest
+from service.messages.requests import epoch_entry
+
+
+def _random_epoch(seed: int) -> Epoch:
+    """An epoch with every kind of entry and doubles of all sizes."""
+    rng = np.random.default_rng(seed)
+
+    def paths(count: int, powers: bool, angles: bool) -> AnchorPaths:
+        positive = 10.0 ** rng.uniform(-9, -6, size=(2, count))
+        return AnchorPaths(
+            *positive,
+            gain_db=rng.normal(size=count) if powers else None,
+            azimuth_rad=rng.normal(size=count) if angles else None,
+            azimuth_std_rad=rng.random(count) + 1e-3 if angles else None,
+        )
+
+    root = rng.normal(size=(2, 2))
+    sweep = (GaussianVrp(rng.normal(size=2), root @ root.T + np.eye(2)),)
+    return Epoch(
+        7, rng.normal(), (paths(5, True, False), paths(0, False, False), paths(3, True, True)), sweep, False
+    )
+
+
+def _same(one: Epoch, two: Epoch) -> bool:
+    scalars = (one.index, one.time_s, one.heading_held) == (two.index, two.time_s, two.heading_held)
+    columns = all(
+        np.array_equal(getattr(a, entry.name), getattr(b, entry.name))
+        for a, b in zip(one.paths, two.paths, strict=True)
+        for entry in fields(AnchorPaths)
+        if getattr(a, entry.name) is not None
+    )
+    walls = all(
+        np.array_equal(a.mean_m, b.mean_m) and np.array_equal(a.covariance_m2, b.covariance_m2)
+        for a, b in zip(one.sweep, two.sweep, strict=True)
+    )
+    return scalars and columns and walls
+
+
+def test_epochs_survive_log_and_request() -> None:
+    """Text of the log and body of a request give back every field, bit for bit."""
+    anchors = ("a", "b", "c")
+    for seed in range(20):
+        epoch = _random_epoch(seed)
+        assert _same(epoch, read_epoch(epoch_text(epoch)))
+        body = json.dumps({"epochs": [epoch_entry(anchors, epoch)]})
+        request = EpochsRequest.model_validate(json.loads(body))
+        again = request.epochs[0].estimator_epoch(list(anchors))
+        assert _same(epoch, again)
+        assert epoch_text(again) == epoch_text(epoch)
+
+
+def test_estimates_survive_their_document(walk: MeasurementSet) -> None:
+    """What the service shows of an estimate is all of it; unknown anchors are null, not NaN."""
+    engine = engine_for("hybrid", "gaussian", config_for(walk))
+    state = engine.start(Prior.of(walk), epoch_rng(0, -1))
+    for epoch in (None, *walk.epochs[:12]):
+        if epoch is not None:
+            state = engine.step(state, epoch, epoch_rng(0, epoch.index))
+        estimate = engine.estimate(state)
+        document = json.loads(json.dumps(estimate_document(0, 0.0, walk.anchors, estimate), allow_nan=False))
+        again = read_estimate(document)
+        assert estimate.candidates
+        for one, two in ((estimate, again), *zip(estimate.candidates, again.candidates, strict=True)):
+            for entry in fields(one):
+                if entry.name != "candidates":
+                    kept, shown = np.asarray(getattr(one, entry.name)), getattr(two, entry.name)
+                    assert np.array_equal(kept, np.asarray(shown), equal_nan=True), entry.name
