@@ -13,8 +13,8 @@ import pytest
 
 from estimator.errors import BackendError
 from raytrace.propagation.backend import Check
-from service.cli.doctor import as_json, machine_findings
 from service.cli import main as cli
+from service.cli.doctor import as_json, machine_findings
 
 Runner = Callable[..., SimpleNamespace]
 COMMANDS = [
