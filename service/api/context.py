@@ -20,6 +20,7 @@ from service.api.pictures import PictureCache
 from service.api.readiness import Readiness
 from service.api.streams import Streams
 from service.api.telemetry import Metrics
+from service.messages.terms import SessionTerms
 from service.session.pace import Pace
 from service.session.tasks import Task, TaskContext
 from service.session.workers import Lane, Workers
@@ -28,7 +29,7 @@ from service.storage.store import Store, unknown_session
 
 __all__ = ["Bell", "CallerDep", "Context", "ContextDep", "SessionAccess", "SessionDep", "caller", "context"]
 
-_REMEMBERED = 1000  # sessions whose anchors are kept in mind
+_REMEMBERED = 1000  # sessions whose terms are kept in mind
 _THREADS = 32  # that wait for the database
 _DOORS = 8  # that look up keys: whoever else waits, a request is let in or refused
 _AT_ONCE_BYTES = 4 * 2**10  # of JSON: some milliseconds, even if everything in it is wrong
@@ -115,7 +116,7 @@ class Context:
     _loop: asyncio.AbstractEventLoop | None = None
     _threads: anyio.CapacityLimiter = field(init=False)
     _doors: anyio.CapacityLimiter = field(init=False)
-    _anchors: dict[SessionAccess, list[str]] = field(default_factory=dict)
+    _terms: dict[SessionAccess, SessionTerms] = field(default_factory=dict)
     _walls: dict[str, int] = field(default_factory=dict)
 
     def open(self, engine: Engine) -> None:
@@ -126,13 +127,13 @@ class Context:
         self.streams = Streams(self.settings.max_streams_per_key)
         self._threads, self._doors = anyio.CapacityLimiter(_THREADS), anyio.CapacityLimiter(_DOORS)
 
-    async def anchors(self, session: SessionAccess) -> list[str]:
-        """A session's anchors, which never change; raises NotFoundError."""
-        known = self._anchors.get(session)
+    async def terms(self, session: SessionAccess) -> SessionTerms:
+        """What a session's epochs are read by; raises NotFoundError."""
+        known = self._terms.get(session)
         if known is None:
             row = await self.run(self.store.session, session.id, session.key_id)
-            known = self._anchors[session] = json.loads(row.config)["anchors"]
-            _forget(self._anchors)
+            known = self._terms[session] = SessionTerms.of(json.loads(row.config))
+            _forget(self._terms)
         return known
 
     async def walls(self, session: SessionAccess) -> int:

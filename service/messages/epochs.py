@@ -6,25 +6,26 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Discriminator, Field, Tag
 
-from service.messages.lpp import LppEpoch
-from service.messages.schemas import Request, SiEpoch
+from service.messages.fields import Request
+from service.messages.nr_epoch import NrEpoch
+from service.messages.si_epoch import SiEpoch
 
 __all__ = ["EpochsRequest"]
 
 
 def _vocabulary(value: Any) -> str:
     if isinstance(value, dict):
-        return "lpp" if "trpMeasurementList" in value else "si"
-    return "lpp" if isinstance(value, LppEpoch) else "si"
+        return "nr" if {"lpp", "nrppa"} & value.keys() else "si"
+    return "nr" if isinstance(value, NrEpoch) else "si"
 
 
 AnyEpoch = Annotated[
-    Annotated[SiEpoch, Tag("si")] | Annotated[LppEpoch, Tag("lpp")], Discriminator(_vocabulary)
+    Annotated[SiEpoch, Tag("si")] | Annotated[NrEpoch, Tag("nr")], Discriminator(_vocabulary)
 ]
 
 
 class EpochsRequest(Request):
-    """One or many consecutive epochs, in SI units or in the vocabulary of LPP and NRPPa."""
+    """One or many consecutive epochs, in SI units, or as LPP and NRPPa report them."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -49,20 +50,35 @@ class EpochsRequest(Request):
                     "epochs": [
                         {
                             "epoch": 0,
-                            "timeStamp": {"sfn": 0, "slot": 0},
-                            "trpMeasurementList": [
-                                {
-                                    "trpId": "pa1",
-                                    "toa": {"value": 12270, "k": -5},
-                                    "timingQuality": {
-                                        "timingQualityValue": 1,
-                                        "timingQualityResolution": "mdot1",
-                                    },
-                                    "additionalPathList": [
-                                        {"relativeTimeDifference": {"value": 4152, "k": -5}}
-                                    ],
-                                }
-                            ],
+                            "nrppa": {
+                                "TRP-MeasurementResponseList": [
+                                    {
+                                        "tRP-ID": 1,
+                                        "measurementResult": [
+                                            {
+                                                "measuredResultsValue": {
+                                                    "uL-RTOA": {
+                                                        "uLRTOAmeas": {"k0": 985408},
+                                                        "additionalPathList": [
+                                                            {"relativeTimeOfPath": {"k0": 8306}}
+                                                        ],
+                                                    }
+                                                },
+                                                "timeStamp": {
+                                                    "systemFrameNumber": 0,
+                                                    "slotIndex": {"sCS-120": 0},
+                                                },
+                                                "measurementQuality": {
+                                                    "timingMeasQuality": {
+                                                        "measurementQuality": 1,
+                                                        "resolution": "m0dot1",
+                                                    }
+                                                },
+                                            }
+                                        ],
+                                    }
+                                ]
+                            },
                         }
                     ]
                 },

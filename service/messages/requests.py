@@ -23,6 +23,8 @@ def session_entry(measurements: MeasurementSet, **more: Any) -> dict[str, Any]:
         "carrier_hz": measurements.carrier_hz,
         "measurement_model": dict(measurements.settings.get("measurement_model", {})),
         "known_anchors_m": None if known is None else known.tolist(),
+        "max_speed_m_s": measurements.max_speed_m_s,
+        "echo_bias_std_m": measurements.echo_bias_std_m,
         **more,
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import pydantic
@@ -11,11 +11,13 @@ from pydantic import BaseModel
 
 from service.errors import ValidationError
 from service.messages.epochs import EpochsRequest
+from service.messages.terms import SessionTerms
+from service.messages.truth import Truth
 from service.messages.violations import violations
 from service.session.entries import EpochEntry, EpochLimits, entries_of
 from service.session.tasks import TaskContext
 
-__all__ = ["EpochsTask", "ParseTask", "json_content", "parsed"]
+__all__ = ["EpochsTask", "ParseTask", "TruthTask", "json_content", "parsed"]
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -64,14 +66,14 @@ class EpochsTask:
     ----------
     body : bytes
         The request's body.
-    anchors : tuple of str
+    terms : SessionTerms
         The session's.
     limits : EpochLimits
         How much it may bring.
     """
 
     body: bytes
-    anchors: tuple[str, ...]
+    terms: SessionTerms
     limits: EpochLimits
 
     def run(self, context: TaskContext) -> tuple[EpochEntry, ...]:
@@ -79,8 +81,11 @@ class EpochsTask:
         del context
         request = parsed(EpochsRequest, self.body)
         self.limits.check_count(len(request.epochs))
-        names = list(self.anchors)
-        return entries_of((entry.estimator_epoch(names) for entry in request.epochs), self.limits)
+        found = entries_of((entry.estimator_epoch(self.terms) for entry in request.epochs), self.limits)
+        return tuple(
+            replace(made, frame_time=True) if given.frame_time else made
+            for made, given in zip(found, request.epochs, strict=True)
+        )
 
 
 @dataclass(frozen=True)
@@ -102,6 +107,24 @@ class ParseTask(Generic[Model]):
         """Parse; raises ValidationError."""
         del context
         return parsed(self.model, self.body)
+
+
+@dataclass(frozen=True)
+class TruthTask:
+    """A truth as the database keeps it.
+
+    Parameters
+    ----------
+    body : bytes
+        The request's body.
+    """
+
+    body: bytes
+
+    def run(self, context: TaskContext) -> str:
+        """Parse; raises ValidationError. Text is what comes back quickly from a process."""
+        del context
+        return parsed(Truth, self.body).model_dump_json()
 
 
 def json_content(model: type[BaseModel], binary: bool = False) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from estimator.measurements import GaussianVrp, MeasurementSet, load_measurement
 from estimator.waveform import OfdmGrid
 from service.messages.documents import dump
 from service.messages.requests import session_entry, truth_entry
-from service.messages.schemas import Truth
+from service.messages.truth import Truth
 from service.session.archives import ZIP, ArchiveLimits, npz_arrays, opened_archive
 from service.session.bodies import parsed
 from service.session.confinement import confined_reading

@@ -101,6 +101,8 @@ def measurement_set(config: Mapping[str, Any], walls: Sequence[GaussianVrp] = ()
         carrier_hz=config["carrier_hz"],
         settings={"measurement_model": config["measurement_model"]},
         known_anchors_m=None if known is None else np.array(known),
+        max_speed_m_s=config.get("max_speed_m_s"),
+        echo_bias_std_m=config.get("echo_bias_std_m"),
     )
 
 

@@ -21,7 +21,9 @@ from estimator.errors import HapslamError
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet, save_measurements
 from estimator.slam.methods import PAIRS
 from service.messages.documents import dump, epoch_text, sweep_text
-from service.messages.schemas import SessionRequest, SiEpoch
+from service.messages.session_requests import SessionRequest
+from service.messages.si_epoch import SiEpoch
+from service.messages.terms import SessionTerms
 from service.session.beam_sweeps import EchoTask
 from service.session.entries import EpochLimits
 from service.session.example import example
@@ -75,7 +77,11 @@ def _begun() -> tuple[dict[str, Any], list[GaussianVrp], list[Epoch]]:
     wanted = SessionRequest.model_validate(shipped["session"])
     walls = [GaussianVrp(wall["vrp_m"], wall["covariance_m2"]) for wall in shipped["sweep"]["walls"]]
     entries = (SiEpoch.model_validate(entry) for entry in shipped["epochs"][:_EPOCHS])
-    return wanted.config(), walls, [entry.estimator_epoch(wanted.anchors) for entry in entries]
+    return (
+        wanted.config(),
+        walls,
+        [entry.estimator_epoch(SessionTerms(tuple(wanted.anchors))) for entry in entries],
+    )
 
 
 def warm_up_reading() -> None:

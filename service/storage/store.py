@@ -254,6 +254,14 @@ class Store:
         )
         return connection.execute(query).scalar_one_or_none()
 
+    def epoch_time(self, session_id: str, epoch: int) -> float | None:
+        """Time of an epoch that was taken in, seconds; None if it was not."""
+        query = sa.select(estimates.c.time_s).where(
+            estimates.c.session_id == session_id, estimates.c.epoch == epoch
+        )
+        with self.reading() as connection:
+            return connection.execute(query).scalar_one_or_none()
+
     def estimates(
         self, session_id: str, first: int, last: int, connection: Connection, limit: int | None = None
     ) -> Iterable[Row[Any]]:

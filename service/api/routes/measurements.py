@@ -12,10 +12,10 @@ from estimator.measurements import GaussianVrp
 from service.api.context import Context, ContextDep, SessionAccess, SessionDep
 from service.errors import TooLargeError
 from service.messages.epochs import EpochsRequest
-from service.messages.schemas import SweepRequest
+from service.messages.sweeps import SweepRequest
 from service.session.beam_sweeps import PointsTask
 from service.session.bodies import EpochsTask, ParseTask, json_content
-from service.session.entries import EpochEntry, EpochLimits
+from service.session.entries import EpochEntry, EpochLimits, settled
 from service.session.fold import NotPromptError
 from service.session.sessions import Taken, take_epochs, take_sweep
 from service.session.workers import AnyWorker, Lane
@@ -98,8 +98,8 @@ async def epochs(request: Request, session: SessionDep, here: ContextDep) -> Res
     answered alike; another body under a known number, a gap, or a step back is a conflict
     that says what is expected next. All or none of a request is taken in.
     """
-    body, anchors = await request.body(), await here.anchors(session)
-    task = EpochsTask(body, tuple(anchors), limits(here))
+    body, terms = await request.body(), await here.terms(session)
+    task = EpochsTask(body, terms, limits(here))
     return await take(here, session, await here.parsed(session, body, task))
 
 
@@ -111,6 +111,9 @@ def limits(here: Context) -> EpochLimits:
 
 async def take(here: Context, session: SessionAccess, entries: Sequence[EpochEntry]) -> Response:
     """Take in epochs; the answer to them. Wakes those who follow the session."""
+    if any(entry.frame_time for entry in entries):
+        before_s = await here.run(here.store.epoch_time, session.id, entries[0].number - 1)
+        entries = settled(entries, before_s)
     pairs, prompt_s = await _pairs(here, session, entries), here.settings.prompt_s
     found = None
     if here.pace.expected_s(session.id, pairs) <= prompt_s:

@@ -15,8 +15,9 @@ from service.api.auth import Caller
 from service.api.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
 from service.errors import TooLargeError, TooManyError
 from service.messages.documents import dump
-from service.messages.schemas import SessionRequest, Truth
-from service.session.bodies import ParseTask, json_content
+from service.messages.session_requests import SessionRequest
+from service.messages.truth import Truth
+from service.session.bodies import ParseTask, TruthTask, json_content
 from service.session.fold import engine_of
 from service.session.sessions import new_session_id
 
@@ -147,8 +148,8 @@ async def put_truth(request: Request, session: SessionDep, here: ContextDep) -> 
     """Walls, anchors and track that the page draws beside the estimates; no engine sees them."""
     body = await request.body()
     await here.run(here.store.session, session.id, session.key_id)
-    truth = await here.parsed(session, body, ParseTask(Truth, body))
-    await here.run(here.store.set_truth, session.id, session.key_id, truth.model_dump_json())
+    truth = await here.parsed(session, body, TruthTask(body))
+    await here.run(here.store.set_truth, session.id, session.key_id, truth)
 
 
 @router.get("/sessions/{session_id}/truth", summary="Read the truth", response_class=Response)

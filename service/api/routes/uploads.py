@@ -12,19 +12,20 @@ from service.api.context import CallerDep, Context, ContextDep, SessionAccess, S
 from service.api.routes.measurements import limits, take, take_walls
 from service.api.routes.sessions import OnceDep, create_session, read
 from service.errors import ConflictError, WorkerDiedError
-from service.messages.schemas import ChannelsQuery, SessionRequest
+from service.messages.channels import ChannelsQuery
+from service.messages.session_requests import SessionRequest
 from service.session.example import ExampleTask
 from service.session.files import FileTask, Unpacked
 from service.session.raw_channels import ChannelsTask
 from service.session.tasks import Task
 from service.session.workers import Lane
 
-__all__ = ["router", "unpacked"]
+__all__ = ["FILE", "router", "unpacked"]
 
 T = TypeVar("T")
 router = APIRouter(prefix="/v1", tags=["files"])
 
-_FILE = {
+FILE = {
     "requestBody": {
         "required": True,
         "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
@@ -36,7 +37,7 @@ _FILE = {
     "/sessions/{session_id}/channels",
     summary="Add raw channels",
     response_class=Response,
-    openapi_extra=_FILE,
+    openapi_extra=FILE,
 )
 async def channels(
     request: Request,
@@ -69,7 +70,7 @@ async def channels(
     "/sessions/{session_id}/datasets",
     summary="Add a dataset",
     response_class=Response,
-    openapi_extra=_FILE,
+    openapi_extra=FILE,
 )
 async def datasets(request: Request, session: SessionDep, here: ContextDep) -> Response:
     """A zipped dataset of `hapslam trace` (its channels are estimated), or a measurement file."""
@@ -78,7 +79,7 @@ async def datasets(request: Request, session: SessionDep, here: ContextDep) -> R
     return await _take_all(here, session, await unpacked(here, session, task))
 
 
-@router.post("/uploads", status_code=201, summary="Make a session from a file", openapi_extra=_FILE)
+@router.post("/uploads", status_code=201, summary="Make a session from a file", openapi_extra=FILE)
 async def uploads(
     request: Request,
     response: Response,

@@ -24,6 +24,7 @@ SECONDS = float(os.environ.get("HAPSLAM_TEST_FAIRNESS_S", "60"))
 _CLIENTS = 8
 _MOST_RATIO = 2.0  # of the slowest hundredth, loaded over unloaded
 _PAUSE_S = 0.1
+_WARM_S = 0.5  # that no epoch takes longer than, once the workers are warm
 
 
 def _waits_s(client: Client, shipped: dict[str, Any], seconds: float) -> np.ndarray[Any, Any]:
@@ -49,7 +50,8 @@ def test_another_keys_epochs_hardly_wait(database: str, record_property: Callabl
         victim, greedy = (KeyRing(engine).create(name) for name in ("victim", "greedy"))
     shipped = example(7)
     with Server(database, workers=2) as server, Client(server.url, victim) as client:
-        _waits_s(client, shipped, 2.0)
+        while np.max(_waits_s(client, shipped, 2.0)) > _WARM_S:  # machine code is compiled or loaded
+            time.sleep(_PAUSE_S)
         alone = _waits_s(client, shipped, 0.5 * SECONDS)
         command = [
             sys.executable,
@@ -61,12 +63,13 @@ def test_another_keys_epochs_hardly_wait(database: str, record_property: Callabl
             str(SECONDS),
         ]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        attack = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True)
-        assert attack.stdout is not None
-        assert attack.stdout.readline() == "begun\n"
-        beside = _waits_s(client, shipped, 0.9 * SECONDS)
-        answers = json.loads(attack.stdout.readline())
-        attack.wait(60)
+        with subprocess.Popen(
+            command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True
+        ) as attack:
+            assert attack.stdout is not None
+            assert attack.stdout.readline() == "begun\n"
+            beside = _waits_s(client, shipped, 0.9 * SECONDS)
+            answers = json.loads(attack.stdout.readline())
     slow = [1e3 * float(np.quantile(waits, 0.99)) for waits in (alone, beside)]
     for name, waits, p99 in (("alone", alone, slow[0]), ("beside", beside, slow[1])):
         record_property(

@@ -18,8 +18,7 @@ from estimator.arrays import AntennaArray, UniformLinearArray, UniformPlanarArra
 from estimator.channel.nomp import estimate_delays
 from estimator.measurements import AnchorPaths, MeasurementSet, load_measurements, save_measurements
 from estimator.result import SlamResult
-from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
-from service.messages.lpp import TC_INVERSE_HZ
+from estimator.waveform import OfdmGrid
 
 GRID = OfdmGrid(28e9, 480e3, 200)
 NOISE = 1e-12
@@ -256,58 +255,3 @@ def test_the_example_is_requests_that_this_service_takes(client: TestClient) -> 
     track = np.array(client.get(f"{url}/map").json()["track_m"])
     error = np.linalg.norm(track - np.array(shipped["truth"]["track_m"])[:60], axis=1)
     assert error[-1] < 3.0  # metres; the rotation of the map alone may cost about a metre here
-
-
-def test_lpp_epochs_are_their_si_equivalents(
-    client: TestClient, make_session: Callable[..., str], walk: MeasurementSet
-) -> None:
-    """Times as scaled integers give the same states as the seconds they stand for."""
-    si, lpp = make_session(), make_session()
-    for epoch in walk.epochs[:6]:
-        lists, anchors = [], {}
-        for name, paths in zip(walk.anchors, epoch.paths, strict=True):
-            ticks = np.round(paths.delay_s * TC_INVERSE_HZ * 64).astype(int).tolist()
-            if not ticks:
-                continue
-            quality = {"timingQualityValue": 1, "timingQualityResolution": "mdot1"}
-            more = [{"relativeTimeDifference": {"value": t - ticks[0], "k": -6}} for t in ticks[1:]]
-            lists.append(
-                {
-                    "trpId": name,
-                    "toa": {"value": ticks[0], "k": -6},
-                    "timingQuality": quality,
-                    "additionalPathList": more,
-                }
-            )
-            first = ticks[0] / (64 * TC_INVERSE_HZ)
-            delay = [first, *(first + (t - ticks[0]) / (64 * TC_INVERSE_HZ) for t in ticks[1:])]
-            anchors[name] = {"delay_s": delay, "delay_std_s": [0.1 / SPEED_OF_LIGHT_M_S] * len(delay)}
-        stamp = {"hyperSfn": 0, "sfn": 100 * epoch.index, "slot": 0}
-        one = client.post(
-            f"{lpp}/epochs",
-            json={"epochs": [{"epoch": epoch.index, "timeStamp": stamp, "trpMeasurementList": lists}]},
-        )
-        body = {"epoch": epoch.index, "time_s": float(epoch.index), "anchors": anchors}
-        two = client.post(f"{si}/epochs", json={"epochs": [body]})
-        assert one.status_code == two.status_code == 200, one.text
-        assert one.json() == two.json()
-
-
-def test_round_trips_and_time_stamps_of_3gpp(client: TestClient, make_session: Callable[..., str]) -> None:
-    """Rx-Tx differences of both ends add up to the round trip; a TRP needs one of the two forms."""
-    url = make_session()
-    quality = {"timingQualityValue": 2, "timingQualityResolution": "m1"}
-    stamp = {"hyperSfn": 1, "sfn": 2, "slot": 40, "scs": "kHz120"}
-    trip = {"ueRxTxTimeDiff": {"value": 300}, "gnbRxTxTimeDiff": {"value": 100}}
-    trp = {"trpId": "pa1", "timingQuality": quality, **trip}
-    epoch = {"epoch": 0, "timeStamp": stamp, "trpMeasurementList": [trp]}
-    answer = client.post(f"{url}/epochs", json={"epochs": [epoch]})
-    assert answer.json()["state"]["time_s"] == 10.24 + 0.02 + 0.005
-    for wrong in (
-        {**trp, "toa": {"value": 1}},
-        {"trpId": "pa1", "timingQuality": quality},
-        {**trp, "trpId": "pa9"},
-        {**trp, "ueRxTxTimeDiff": {"value": -300}},
-    ):
-        bad = {"epoch": 1, "timeStamp": {"sfn": 0, "hyperSfn": 9}, "trpMeasurementList": [wrong]}
-        assert client.post(f"{url}/epochs", json={"epochs": [bad]}).status_code == 422

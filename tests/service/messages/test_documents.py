@@ -13,6 +13,7 @@ from estimator.slam.run import config_for, engine_for
 from service.messages.documents import epoch_text, estimate_document, read_epoch, read_estimate
 from service.messages.epochs import EpochsRequest
 from service.messages.requests import epoch_entry
+from service.messages.terms import SessionTerms
 
 
 def _random_epoch(seed: int) -> Epoch:
@@ -58,7 +59,7 @@ def test_epochs_survive_log_and_request() -> None:
         assert _same(epoch, read_epoch(epoch_text(epoch)))
         body = json.dumps({"epochs": [epoch_entry(anchors, epoch)]})
         request = EpochsRequest.model_validate(json.loads(body))
-        again = request.epochs[0].estimator_epoch(list(anchors))
+        again = request.epochs[0].estimator_epoch(SessionTerms(anchors))
         assert _same(epoch, again)
         assert epoch_text(again) == epoch_text(epoch)
 
