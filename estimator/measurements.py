@@ -149,6 +149,9 @@ class Epoch:
     heading_held : bool
         Whether the agent's axes are still those of the start. If not, directions and
         sweeps tell angles between things, but nothing of the map's rotation.
+    asked : tuple of bool, optional
+        Which anchors were measured to at this epoch; None says all of them. Of one that was not asked,
+        that nothing was heard means nothing.
     """
 
     index: int
@@ -156,6 +159,28 @@ class Epoch:
     paths: tuple[AnchorPaths, ...]
     sweep: tuple[GaussianVrp, ...] = ()
     heading_held: bool = True
+    asked: tuple[bool, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.asked is None:
+            return
+        if len(self.asked) != len(self.paths):
+            raise InputError(
+                f"epoch {self.index}: expected asked of {len(self.paths)} anchors, got {len(self.asked)}"
+            )
+        for k, (asked, paths) in enumerate(zip(self.asked, self.paths, strict=True)):
+            if len(paths) and not asked:
+                raise InputError(
+                    f"epoch {self.index}: expected no paths of anchor {k}, which was not asked, "
+                    f"got {len(paths)}"
+                )
+
+    @property
+    def was_asked(self) -> NDArray[np.bool_]:
+        """Whether each anchor was asked, shape (K,)."""
+        return (
+            np.ones(len(self.paths), dtype=bool) if self.asked is None else np.array(self.asked, dtype=bool)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,9 +287,16 @@ def save_measurements(measurements: MeasurementSet, path: Path) -> None:
     columns = {name: c for name, c in columns.items() if name in _DIMS or np.isfinite(c).any()}
     walls = measurements.walls
     flashes = [(i, flash) for i, epoch in enumerate(epochs) for flash in epoch.sweep]
-    known = {}
+    known: dict[str, Any] = {}
     if measurements.known_anchors_m is not None:
         known["known_anchor_m"] = (("anchor", "xy"), measurements.known_anchors_m, {"units": "m"})
+    if any(epoch.asked is not None for epoch in epochs):
+        asked = np.array([epoch.was_asked for epoch in epochs], dtype=np.int8)
+        known["asked"] = (
+            ("epoch", "anchor"),
+            asked,
+            {"units": "1", "long_name": "1 where an anchor was asked"},
+        )
     import xarray as xr
 
     data = xr.Dataset(
@@ -331,6 +363,13 @@ def _anchor_paths(columns: Mapping[str, Array]) -> AnchorPaths:
     return AnchorPaths(**given)
 
 
+def _asked(values: NDArray[Any], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Which anchors (T, K) were asked, as stored."""
+    if values.shape != shape:
+        raise InputError(f"asked: expected shape {shape}, got {values.shape}")
+    return values.astype(bool)
+
+
 def load_measurements(path: Path) -> MeasurementSet:
     """Read a measurement file; raises FileFormatError if it is none, InputError if its values are bad."""
     data = read_netcdf(path, FORMAT, VERSION)
@@ -359,6 +398,7 @@ def load_measurements(path: Path) -> MeasurementSet:
             )
         )
         anchors = tuple(str(name) for name in data["anchor"].values)
+        asked = _asked(data["asked"].values, (len(index), len(anchors))) if "asked" in data else None
         attributes = data.attrs
         epochs = tuple(
             Epoch(
@@ -370,6 +410,7 @@ def load_measurements(path: Path) -> MeasurementSet:
                 ),
                 tuple(sweeps.get(i, ())),
                 bool(held[i]),
+                None if asked is None or asked[i].all() else tuple(asked[i].tolist()),
             )
             for i in range(len(index))
         )

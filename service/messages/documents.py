@@ -47,6 +47,8 @@ def epoch_text(epoch: Epoch) -> str:
         entry["sweep"] = _walls(epoch.sweep)
     if not epoch.heading_held:
         entry["heading_held"] = False
+    if epoch.asked is not None:
+        entry["asked"] = list(epoch.asked)
     return dump(entry)
 
 
@@ -55,7 +57,8 @@ def read_epoch(text: str) -> Epoch:
     value = json.loads(text)
     paths = tuple(AnchorPaths(**columns) for columns in value["paths"])
     sweep = tuple(GaussianVrp(mean, covariance) for mean, covariance in value.get("sweep", ()))
-    return Epoch(value["epoch"], value["time_s"], paths, sweep, value.get("heading_held", True))
+    asked = tuple(value["asked"]) if "asked" in value else None
+    return Epoch(value["epoch"], value["time_s"], paths, sweep, value.get("heading_held", True), asked)
 
 
 def sweep_text(number: int, walls: Iterable[GaussianVrp]) -> str:

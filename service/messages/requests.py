@@ -40,6 +40,7 @@ def _walls(walls: Iterable[GaussianVrp]) -> list[dict[str, Any]]:
 
 def epoch_entry(anchors: tuple[str, ...], epoch: Epoch) -> dict[str, Any]:
     """An epoch as ``POST .../epochs`` takes it; no figure is changed."""
+    silent = epoch.asked is not None
     return {
         "epoch": epoch.index,
         "time_s": epoch.time_s,
@@ -53,6 +54,11 @@ def epoch_entry(anchors: tuple[str, ...], epoch: Epoch) -> dict[str, Any]:
         },
         "sweep": _walls(epoch.sweep),
         "heading_held": epoch.heading_held,
+        **(
+            {"asked": [name for name, yes in zip(anchors, epoch.was_asked, strict=True) if yes]}
+            if silent
+            else {}
+        ),
     }
 
 

@@ -53,6 +53,10 @@ class SiEpoch(Request):
     heading_held: bool = Field(
         True, strict=True, description="Whether the agent's axes are still those of the start."
     )
+    asked: Annotated[list[Name], Field(fail_fast=True, max_length=1000)] | None = Field(
+        None,
+        description="Anchors measured to at this epoch, where not all: of others, silence says nothing.",
+    )
 
     @property
     def frame_time(self) -> bool:
@@ -68,7 +72,7 @@ class SiEpoch(Request):
             If an anchor is none of the session's, or columns differ in length.
         """
         names = terms.anchors
-        unknown = sorted(set(self.anchors) - set(names))
+        unknown = sorted((set(self.anchors) | set(self.asked or ())) - set(names))
         if unknown:
             raise InputError(
                 f"epoch {self.epoch}: expected anchors among {', '.join(names)}, got {unknown[0]!r}"
@@ -81,4 +85,5 @@ class SiEpoch(Request):
             except InputError as error:
                 raise InputError(f"epoch {self.epoch}, anchor {name}: {error}") from error
         sweep = tuple(wall.gaussian() for wall in self.sweep)
-        return Epoch(self.epoch, self.time_s, tuple(paths), sweep, self.heading_held)
+        asked = None if self.asked is None else tuple(name in self.asked for name in names)
+        return Epoch(self.epoch, self.time_s, tuple(paths), sweep, self.heading_held, asked)

@@ -233,6 +233,24 @@ def test_directions_sweeps_and_headings_come_back(tmp_path):
     assert len(back[1].paths[0]) == 0
 
 
+def test_which_anchors_were_asked_comes_back(tmp_path):
+    """Also where all were; a set that never says so has no such variable, as files before."""
+    heard, silent = AnchorPaths([1e-8], [1e-10]), AnchorPaths.none()
+    epochs = (
+        Epoch(0, 0.0, (heard, silent), asked=(True, False)),
+        Epoch(1, 1.0, (silent, silent), asked=(False, True)),
+        Epoch(2, 2.0, (heard, silent)),
+    )
+    save_measurements(MeasurementSet(("a", "b"), (), epochs, 28e9), tmp_path / "m.nc")
+    back = load_measurements(tmp_path / "m.nc").epochs
+    assert [epoch.asked for epoch in back] == [(True, False), (False, True), None]
+    assert back[2].was_asked.tolist() == [True, True]
+    with pytest.raises(InputError, match="epoch 0: expected asked of 2 anchors, got 1"):
+        Epoch(0, 0.0, (heard, silent), asked=(True,))
+    with pytest.raises(InputError, match="no paths of anchor 0, which was not asked, got 1"):
+        Epoch(0, 0.0, (heard, silent), asked=(False, True))
+
+
 def test_one_of_azimuth_and_its_deviation_is_not_enough():
     """Directions without deviations, and deviations of zero, are refused."""
     with pytest.raises(InputError, match="expected both or neither"):

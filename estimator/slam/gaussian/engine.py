@@ -124,6 +124,7 @@ def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> Gaus
             config.motion.acceleration_variance,
             config.visibility.appear_probability,
             config.visibility.vanish_probability,
+            epoch.was_asked,
         )
     return state.but(epoch=epoch.index, time_s=epoch.time_s, hypotheses=hypotheses)
 

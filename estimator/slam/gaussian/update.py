@@ -99,16 +99,23 @@ class EpochUpdate(NamedTuple):
 
 @compiled
 def predict_hypotheses(
-    hypotheses: Hypotheses, step_s: float, acceleration_variance: float, appear: float, vanish: float
+    hypotheses: Hypotheses,
+    step_s: float,
+    acceleration_variance: float,
+    appear: float,
+    vanish: float,
+    asked: Mask,
 ) -> Hypotheses:
-    """The agent moves on by a step; features may appear and vanish."""
+    """The agent moves on by a step; features of the anchors (K,) that are asked may appear and vanish."""
     mean, covariance = hypotheses.mean.copy(), hypotheses.covariance.copy()
     visibility = hypotheses.visibility.copy()
     for r in range(mean.shape[0]):
         predict_motion(mean[r], covariance[r], step_s, acceleration_variance)
-        flat = visibility[r].ravel()
-        for i in range(flat.size):
-            flat[i] = (1.0 - vanish) * flat[i] + appear * (1.0 - flat[i])
+        for k in range(asked.size):
+            if asked[k]:
+                for f in range(visibility.shape[2]):
+                    seen = visibility[r, k, f]
+                    visibility[r, k, f] = (1.0 - vanish) * seen + appear * (1.0 - seen)
     return Hypotheses(
         hypotheses.log_weight,
         mean,
@@ -267,7 +274,7 @@ def update_hypotheses(
         possible[r] = possible_paths(layout, before[r], source, active)
         for k in range(anchors):
             for f in range(features):
-                if possible[r, k, f]:
+                if possible[r, k, f] and paths.asked[k]:
                     chance[r, k, f] = hypotheses.visibility[r, k, f] * model.detection_probability
         gated = gate(
             layout,
@@ -314,7 +321,7 @@ def update_hypotheses(
         r = parent[b]
         for k in range(anchors):
             for f in range(features):
-                if possible[r, k, f]:
+                if possible[r, k, f] and paths.asked[k]:
                     seen = visibility[b, k, f]
                     missed = 1.0 - seen * model.detection_probability
                     seen = seen * (1.0 - model.detection_probability) / missed

@@ -31,6 +31,8 @@ class EpochPaths(NamedTuple):
         standard deviation is infinite where there is none.
     heading_held : bool
         Whether the agent's axes are those of the start.
+    asked : ndarray of bool, shape (K,)
+        Which anchors were asked: of another, silence says nothing.
     """
 
     number: NDArray[np.int64]
@@ -40,6 +42,7 @@ class EpochPaths(NamedTuple):
     azimuth_rad: Array
     azimuth_std_rad: Array
     heading_held: bool
+    asked: NDArray[np.bool_]
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -73,4 +76,6 @@ def stack_paths(epoch: Epoch, carrier_hz: float, bearing_rad: float = 0.0) -> Ep
         if paths.azimuth_rad is not None and paths.azimuth_std_rad is not None:
             azimuth[k, :n] = paths.azimuth_rad - bearing_rad
             azimuth_std[k, :n] = paths.azimuth_std_rad
-    return EpochPaths(count, length, std, loss, azimuth, azimuth_std, bool(epoch.heading_held))
+    return EpochPaths(
+        count, length, std, loss, azimuth, azimuth_std, bool(epoch.heading_held), epoch.was_asked
+    )

@@ -141,11 +141,12 @@ class ParticleEngine:
                     f"epoch {epoch.index} at {epoch.time_s} s: expected one later than epoch {state.epoch} "
                     f"at {state.time_s} s"
                 )
-            state = predict(state, epoch.time_s - state.time_s, self.method, self.config, rng)
+            step_s = epoch.time_s - state.time_s
+            state = predict(state, step_s, epoch.was_asked, self.method, self.config, rng)
         state, epoch = replace(state, epoch=epoch.index, time_s=epoch.time_s), guard_clutter(epoch)
         if not self.method.paths:
             return state
-        for k in np.flatnonzero(state.located).tolist():
+        for k in np.flatnonzero(state.located & epoch.was_asked).tolist():
             state = hear_anchor(state, k, epoch.paths[k], self.method, self.config, rng)
         if not state.located.all():
             state = remember_paths(state, epoch, self.config)

@@ -20,7 +20,12 @@ __all__ = ["hear_anchor", "predict"]
 
 
 def predict(
-    state: ParticleState, step_s: float, method: Method, config: ParticleConfig, rng: np.random.Generator
+    state: ParticleState,
+    step_s: float,
+    asked: NDArray[np.bool_],
+    method: Method,
+    config: ParticleConfig,
+    rng: np.random.Generator,
 ) -> ParticleState:
     """Beliefs one step later: the agent by (38), (39), the features by (40), (41).
 
@@ -30,6 +35,8 @@ def predict(
         State after the epoch before.
     step_s : float
         Time since, seconds.
+    asked : ndarray of bool, shape (K,)
+        Anchors that are asked: what the others would be heard over neither appears nor vanishes.
     method : Method
         Whether anchors are known: the others are features too, and as such move a little.
     config : ParticleConfig
@@ -52,10 +59,12 @@ def predict(
         before,
         points_m=driven(before.points_m),
         existence=config.survival_probability * before.existence,
-        visibility=stay * before.visibility + appear * (1.0 - before.visibility),
+        visibility=np.where(
+            asked, stay * before.visibility + appear * (1.0 - before.visibility), before.visibility
+        ),
     )
     anchors = state.anchors_m if method.anchors == "known" else driven(state.anchors_m)
-    sight = stay * state.sight + appear * (1.0 - state.sight)
+    sight = np.where(asked, stay * state.sight + appear * (1.0 - state.sight), state.sight)
     return replace(state, agent=agent, anchors_m=anchors, features=features, sight=sight)
 
 

@@ -41,6 +41,8 @@ class RunPaths(NamedTuple):
     length_m, std_m, azimuth_rad, azimuth_std_rad : ndarray, shape (T, K, M)
         As in :class:`estimator.slam.models.epoch_paths.EpochPaths`; directions of an epoch whose heading
         was not held are left out.
+    asked : ndarray of bool, shape (T, K)
+        Which anchors were asked.
     """
 
     number: Index
@@ -48,6 +50,7 @@ class RunPaths(NamedTuple):
     std_m: Array
     azimuth_rad: Array
     azimuth_std_rad: Array
+    asked: Mask
 
     @property
     def valid(self) -> Mask:
@@ -73,7 +76,8 @@ def stacked_paths(tables: Sequence[EpochPaths]) -> RunPaths:
         length[t, :, :count], std[t, :, :count] = table.length_m, table.std_m
         if table.heading_held:
             azimuth[t, :, :count], azimuth_std[t, :, :count] = table.azimuth_rad, table.azimuth_std_rad
-    return RunPaths(np.array([table.number for table in tables]), length, std, azimuth, azimuth_std)
+    number, asked = np.array([table.number for table in tables]), np.array([table.asked for table in tables])
+    return RunPaths(number, length, std, azimuth, azimuth_std, asked)
 
 
 def path_factors(
@@ -114,7 +118,9 @@ def path_factors(
     pd = noise.detection_probability
     heard, feature = _share(paths, prediction.length_m, spread, usable, np.zeros(usable.shape), model, 1.0)
     for _ in range(_ROUNDS):
-        seen = visibility(1.0 - pd + pd * heard, usable, problem.config.visibility)
+        asked = np.broadcast_to(paths.asked[..., None], usable.shape)
+        ratio = np.where(asked, 1.0 - pd + pd * heard, 1.0)
+        seen = visibility(ratio, usable, problem.config.visibility, asked)
         chance = np.minimum(pd * seen, _SURE)
         odds = chance / (1.0 - chance)
         heard, feature = _share(paths, prediction.length_m, spread, usable, odds, model, least_probability)
@@ -190,7 +196,7 @@ def _share(
     return heard, feature
 
 
-def visibility(ratio: Array, usable: Mask, model: Visibility) -> Array:
+def visibility(ratio: Array, usable: Mask, model: Visibility, asked: Mask | None = None) -> Array:
     """Probability, given the whole run, that features could be heard.
 
     Forward-backward algorithm of a chain with the states visible and invisible.
@@ -203,31 +209,40 @@ def visibility(ratio: Array, usable: Mask, model: Visibility) -> Array:
         Where the feature is geometrically possible; elsewhere it is invisible, whatever it was before.
     model : Visibility
         ``appear_probability`` and ``vanish_probability``.
+    asked : ndarray of bool, shape (T, ...), optional
+        Where a feature's anchor was asked: else it neither appears nor vanishes. By default everywhere.
 
     Returns
     -------
     ndarray, shape (T, ...)
     """
     flat = len(ratio), -1
+    moves = np.ones(ratio.shape, dtype=bool) if asked is None else asked
     seen = _visibility(
-        ratio.reshape(flat), usable.reshape(flat), model.appear_probability, model.vanish_probability
+        ratio.reshape(flat),
+        usable.reshape(flat),
+        moves.reshape(flat),
+        model.appear_probability,
+        model.vanish_probability,
     )
     return seen.reshape(ratio.shape)
 
 
 @compiled
-def _visibility(ratio: Array, usable: Mask, appear: float, vanish: float) -> Array:
+def _visibility(ratio: Array, usable: Mask, asked: Mask, appear: float, vanish: float) -> Array:
     """:func:`visibility` of F features (T, F)."""
     epochs, features = ratio.shape
     result, stay = np.empty(ratio.shape), 1.0 - vanish
     chance = np.full(features, 0.5)
     for t in range(epochs):  # forward; the result holds the filter's probabilities
         for f in range(features):
+            if t > 0 and asked[t, f]:
+                chance[f] = stay * chance[f] + appear * (1.0 - chance[f])
             if not usable[t, f]:
                 chance[f] = 0.0
             odds = chance[f] * ratio[t, f]
             result[t, f] = odds / (odds + 1.0 - chance[f])
-            chance[f] = stay * result[t, f] + appear * (1.0 - result[t, f])
+            chance[f] = result[t, f]
     visible, invisible = np.ones(features), np.ones(features)  # likelihoods of the future
     for t in range(epochs - 1, -1, -1):
         for f in range(features):
@@ -235,7 +250,9 @@ def _visibility(ratio: Array, usable: Mask, appear: float, vanish: float) -> Arr
             result[t, f] = one / (one + other)
             seen, unseen = visible[f] * ratio[t, f], invisible[f]
             one = other = unseen
-            if usable[t, f]:
+            if usable[t, f] and not asked[t, f]:
+                one, other = seen, unseen
+            elif usable[t, f]:
                 one = stay * seen + vanish * unseen
                 other = appear * seen + (1.0 - appear) * unseen
             visible[f], invisible[f] = one / (one + other), other / (one + other)

@@ -31,13 +31,13 @@ def _random_epoch(seed: int) -> Epoch:
 
     root = rng.normal(size=(2, 2))
     sweep = (GaussianVrp(rng.normal(size=2), root @ root.T + np.eye(2)),)
-    return Epoch(
-        7, rng.normal(), (paths(5, True, False), paths(0, False, False), paths(3, True, True)), sweep, False
-    )
+    heard = paths(5, True, False), paths(0, False, False), paths(3, True, True)
+    return Epoch(7, rng.normal(), heard, sweep, False, (True, False, True) if seed % 2 else None)
 
 
 def _same(one: Epoch, two: Epoch) -> bool:
-    scalars = (one.index, one.time_s, one.heading_held) == (two.index, two.time_s, two.heading_held)
+    names = ("index", "time_s", "heading_held", "asked")
+    scalars = all(getattr(one, name) == getattr(two, name) for name in names)
     columns = all(
         np.array_equal(getattr(a, entry.name), getattr(b, entry.name))
         for a, b in zip(one.paths, two.paths, strict=True)

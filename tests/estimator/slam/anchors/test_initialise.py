@@ -55,9 +55,8 @@ def given_paths(layout: Layout, lengths: list[list[np.ndarray]], noise=NOISE) ->
         table[k, : len(own)] = own
     number = np.array([len(own) for own in lengths[-1]])
     none = np.full(table.shape, np.nan)
-    paths = EpochPaths(
-        number, table, np.full_like(table, 0.1), none, 0.0 * table, np.full_like(table, np.inf), True
-    )
+    never, asked = np.full_like(table, np.inf), np.ones(anchors, dtype=bool)
+    paths = EpochPaths(number, table, np.full_like(table, 0.1), none, 0.0 * table, never, True, asked)
     old = [(t, k, x) for t in range(epochs - 1) for k in range(anchors) for x in lengths[t][k]]
     epoch, anchor, length = (np.array(column) for column in zip(*old, strict=True)) if old else ([], [], [])
     size = len(old)

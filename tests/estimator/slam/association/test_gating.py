@@ -33,14 +33,23 @@ def problem(room, rng, directions=False):
         azimuth = predict_azimuths(mean[None], layout)[0][0][:, :9] + 0.01 * rng.normal(size=(2, 9))
         spread[:, ::2] = 0.02
     paths = EpochPaths(
-        np.array([9, 7]), length, std, np.full((2, 9), np.nan), azimuth, spread, heading_held=directions
+        np.array([9, 7]),
+        length,
+        std,
+        np.full((2, 9), np.nan),
+        azimuth,
+        spread,
+        directions,
+        np.ones(2, dtype=bool),
     )
     chance = rng.uniform(0.1, 0.9, (2, layout.features))
     return mean, covariance, layout, paths, chance
 
 
 def gated(mean, covariance, layout, paths, chance, could, free):
-    source = sources(layout, mean, could)
+    source = sources(
+        layout, mean, np.ones_like(could)
+    )  # an image of an image needs the first one, possible or not
     slanted = path_lengths(layout, mean, source)
     return gate(
         layout, MODEL, mean, covariance, source, slanted, chance, could, free, paths, CLUTTER

@@ -17,13 +17,14 @@ from estimator.slam.models.state_vector import Layout
 from tests.estimator.slam.models.test_path_lengths import state_of
 
 
-def path_table(length, std, number=None):
+def path_table(length, std, number=None, asked=None):
     """Paths (K, M) without powers or directions."""
     length = np.asarray(length, dtype=float)
     count = np.full(len(length), length.shape[1]) if number is None else np.asarray(number)
     shape = length.shape
     nothing, never = np.full(shape, np.nan), np.full(shape, np.inf)
-    return EpochPaths(count, length, np.full(shape, std), nothing, np.zeros(shape), never, False)
+    asked = np.ones(len(length), dtype=bool) if asked is None else np.array(asked)
+    return EpochPaths(count, length, np.full(shape, std), nothing, np.zeros(shape), never, False, asked)
 
 
 def one_hypothesis(layout, mean, covariance, visibility, present):
@@ -98,7 +99,7 @@ def test_prediction_moves_the_agent_and_visibility():
     rng, layout = np.random.default_rng(2), Layout(1, 1)
     root = rng.normal(size=(layout.size, layout.size))
     hypotheses = one_hypothesis(layout, rng.normal(size=layout.size), root @ root.T, 0.7, [True])
-    after = predict_hypotheses(hypotheses, 0.5, 0.2, 0.02, 0.1)
+    after = predict_hypotheses(hypotheses, 0.5, 0.2, 0.02, 0.1, np.array([True]))
     still = layout.size - 4
     a = block_diag(transition(0.5), np.eye(still))
     q = block_diag(process_noise(0.5, 0.2), np.zeros((still, still)))
@@ -106,6 +107,24 @@ def test_prediction_moves_the_agent_and_visibility():
     np.testing.assert_allclose(after.covariance[0], a @ hypotheses.covariance[0] @ a.T + q, atol=1e-10)
     assert np.allclose(after.visibility, 0.9 * 0.7 + 0.02 * 0.3)
     assert np.all(hypotheses.visibility == 0.7)
+
+
+def test_an_anchor_that_was_not_asked_keeps_its_visibility():
+    """Neither time nor silence tells anything of it; of the one that was asked, silence does."""
+    layout = Layout(2, 1)
+    mean = np.zeros(layout.size)
+    mean[layout.anchor_xy(0)], mean[layout.anchor_xy(1)] = (5.0, 1.0), (1.0, 5.0)
+    mean[layout.walls] = 12.0, 0.0
+    before = one_hypothesis(layout, mean, 0.01 * np.eye(layout.size), 0.7, [True])
+    asked = np.array([True, False])
+    after = predict_hypotheses(before, 0.5, 0.2, 0.02, 0.1, asked)
+    assert np.all(after.visibility[0, 1] == 0.7)
+    assert np.all(after.visibility[0, 0] != 0.7)
+    done = taken(layout, before, path_table(np.ones((2, 1)), 0.1, [0, 0], asked), GaussianConfig())
+    assert np.all(done.hypotheses.visibility[0, 1] == 0.7)
+    assert np.all(done.hypotheses.visibility[0, 0, :2] < 0.7)
+    silence = 2 * np.log(1.0 - 0.7 * GaussianConfig().noise.detection_probability)
+    assert done.hypotheses.log_weight[0] == pytest.approx(silence)
 
 
 def test_hypotheses_do_not_touch_each_other(room):

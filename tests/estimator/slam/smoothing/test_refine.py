@@ -109,10 +109,11 @@ def test_a_flood_is_passed_over(room, filtered):
     np.testing.assert_array_equal(smoothed[1].agent_mean, smoothed[0].agent_mean)
 
 
-def test_visibility_is_the_posterior_of_all_histories():
+@pytest.mark.parametrize("asked", [[True] * 6, [True, False, True, False, True, True]])
+def test_visibility_is_the_posterior_of_all_histories(asked):
     """Forward-backward against the sum over every sequence of visible and invisible."""
     model = Visibility(appear_probability=0.2, vanish_probability=0.1)
-    ratio = np.array([0.05, 3.0, 8.0, 0.05, 2.0, 0.4])
+    ratio = np.where(asked, [0.05, 3.0, 8.0, 0.05, 2.0, 0.4], 1.0)
     usable = np.array([True, True, True, True, False, True])
     move = np.array([[0.8, 0.2], [0.1, 0.9]])  # from (invisible, visible)
     weights = np.zeros((len(ratio), 2))
@@ -124,11 +125,13 @@ def test_visibility_is_the_posterior_of_all_histories():
             weight *= ratio[t] if seen else 1.0
             if t:
                 # where it is impossible, what would have been visible is invisible
-                chance = move[history[t - 1], seen]
+                chance = move[history[t - 1], seen] if asked[t] else float(history[t - 1] == seen)
                 weight *= chance if usable[t] else 1.0
         weights[np.arange(len(ratio)), history] += weight
     expected = weights[:, 1] / weights.sum(axis=1)
-    np.testing.assert_allclose(visibility(ratio, usable, model), expected, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(
+        visibility(ratio, usable, model, np.array(asked)), expected, rtol=1e-12, atol=1e-15
+    )
 
 
 def test_results_that_do_not_fit_are_refused(filtered):
