@@ -59,7 +59,7 @@ class Settings(BaseSettings):
         All bodies that are being received or worked on; a key may have half of it.
     max_streams_per_key : int
         Event streams that a key may have open.
-    head_timeout_s, body_stall_s : float
+    head_timeout_s, body_stall_s, stream_stall_s : float
         How long a connection may take to send a request's head, and the next piece of its body.
     max_epochs_per_request, max_paths_per_anchor, max_anchors, max_walls : int
         Largest numbers in one request or session.
@@ -101,6 +101,7 @@ class Settings(BaseSettings):
     max_streams_per_key: Count = 64
     head_timeout_s: Seconds = 10.0
     body_stall_s: Seconds = 10.0
+    stream_stall_s: Seconds = 600.0
     max_epochs_per_request: Count = 10_000
     max_paths_per_anchor: Count = 200
     max_anchors: Count = 64

@@ -15,7 +15,18 @@ from service.api import problems
 from service.api.admission import Admission
 from service.api.context import Context
 from service.api.middleware import RequestMiddleware
-from service.api.routes import echoes, events, health, measurements, pages, pdus, sessions, state, uploads
+from service.api.routes import (
+    echoes,
+    events,
+    health,
+    measurements,
+    pages,
+    pdus,
+    sessions,
+    state,
+    streams,
+    uploads,
+)
 from service.api.telemetry import Metrics
 from service.messages.epochs import EpochsRequest
 from service.messages.session_requests import SessionRequest
@@ -74,7 +85,7 @@ def create_app(settings: Settings) -> FastAPI:
     problems.install(app)
     app.add_middleware(Admission, here=here)
     app.add_middleware(RequestMiddleware, metrics=here.metrics, timeout_s=settings.request_timeout_s)
-    for module in (health, sessions, echoes, measurements, pdus, uploads, state, events, pages):
+    for module in (health, sessions, echoes, measurements, streams, pdus, uploads, state, events, pages):
         app.include_router(module.router)
     app.openapi = _Description(app)  # type: ignore[method-assign]
     return app

@@ -64,6 +64,10 @@ def patient_protocol(patience: Patience) -> type[asyncio.Protocol]:
             self._body_due = True
             super().on_headers_complete()
 
+        def handle_websocket_upgrade(self) -> None:
+            self._late.cancel()
+            super().handle_websocket_upgrade()
+
         def on_message_complete(self) -> None:
             self._body_due = False
             super().on_message_complete()

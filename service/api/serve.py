@@ -15,6 +15,7 @@ from estimator.errors import ConfigurationError
 from service.api.app import create_app
 from service.api.auth import KeyRing, is_loopback
 from service.api.connections import Patience, patient_protocol
+from service.api.ingest import IngestLimits
 from service.api.telemetry import configure_logs
 from service.settings import Settings
 from service.storage.database import opened
@@ -77,6 +78,8 @@ def serve(settings: Settings) -> None:
         host=settings.host,
         port=settings.port,
         http=patient_protocol(Patience(settings.head_timeout_s)),
+        ws="websockets-sansio",
+        ws_max_size=IngestLimits().line_bytes,
         log_level="warning",
         access_log=False,
         server_header=False,

@@ -10,7 +10,7 @@ from service.messages.fields import Request
 from service.messages.nr_epoch import NrEpoch
 from service.messages.si_epoch import SiEpoch
 
-__all__ = ["EpochsRequest"]
+__all__ = ["AnyEpoch", "EpochsRequest"]
 
 
 def _vocabulary(value: Any) -> str:

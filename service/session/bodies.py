@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
@@ -17,15 +18,21 @@ from service.messages.violations import violations
 from service.session.entries import EpochEntry, EpochLimits, entries_of
 from service.session.tasks import TaskContext
 
-__all__ = ["EpochsTask", "ParseTask", "TruthTask", "json_content", "parsed"]
+__all__ = ["EpochsTask", "ParseTask", "TruthTask", "json_content", "parsed", "parsed_by"]
 
 Model = TypeVar("Model", bound=BaseModel)
+T = TypeVar("T")
 
 
 def parsed(model: type[Model], body: bytes) -> Model:
     """A body as a model; raises ValidationError."""
+    return parsed_by(model.model_validate, body)
+
+
+def parsed_by(validate: Callable[[Any], T], body: bytes) -> T:
+    """A body as a function of Pydantic's makes it; raises ValidationError."""
     try:
-        return model.model_validate(_json(body))
+        return validate(_json(body))
     except pydantic.ValidationError as error:
         entries: list[dict[str, Any]] = [
             {**entry, "loc": ("body", *entry["loc"])} for entry in error.errors(include_url=False)

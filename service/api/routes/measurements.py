@@ -20,7 +20,7 @@ from service.session.fold import NotPromptError
 from service.session.sessions import Taken, take_epochs, take_sweep
 from service.session.workers import AnyWorker, Lane
 
-__all__ = ["limits", "router", "take", "take_walls"]
+__all__ = ["limits", "router", "take", "take_walls", "taken_in"]
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["measurements"])
 
@@ -110,7 +110,14 @@ def limits(here: Context) -> EpochLimits:
 
 
 async def take(here: Context, session: SessionAccess, entries: Sequence[EpochEntry]) -> Response:
-    """Take in epochs; the answer to them. Wakes those who follow the session."""
+    """Take in epochs; the answer to them."""
+    taken, state = await taken_in(here, session, entries)
+    body = f'{{"first_epoch":{taken.first},"last_epoch":{taken.last},"state":{state}}}'
+    return Response(body, media_type="application/json", headers={"X-New-Entries": str(taken.new)})
+
+
+async def taken_in(here: Context, session: SessionAccess, entries: Sequence[EpochEntry]) -> tuple[Taken, str]:
+    """Take in epochs: what was taken, and the state after the last. Wakes those who follow the session."""
     if any(entry.frame_time for entry in entries):
         before_s = await here.run(here.store.epoch_time, session.id, entries[0].number - 1)
         entries = settled(entries, before_s)
@@ -125,8 +132,7 @@ async def take(here: Context, session: SessionAccess, entries: Sequence[EpochEnt
         here.note_walls(session, taken.walls)
     here.bell.ring(session.id)
     here.metrics.epochs.inc(taken.new)
-    body = f'{{"first_epoch":{taken.first},"last_epoch":{taken.last},"state":{state}}}'
-    return Response(body, media_type="application/json", headers={"X-New-Entries": str(taken.new)})
+    return taken, state
 
 
 async def _pairs(here: Context, session: SessionAccess, entries: Sequence[EpochEntry]) -> int:

@@ -117,10 +117,10 @@ def test_the_curl_examples_run(server: Server, tmp_path: Path) -> None:
     """Every curl command of the service's page succeeds, in the order in which they stand."""
     text = (ROOT / "docs" / "service.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```curl\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     session = ""
     for block in blocks:
-        for command in re.split(r"\n(?=curl )", block.strip()):
+        for command in re.split(r"\n(?=curl |printf )", block.strip()):
             done = subprocess.run(
                 ["bash", "-c", command],
                 cwd=tmp_path,
@@ -133,7 +133,7 @@ def test_the_curl_examples_run(server: Server, tmp_path: Path) -> None:
             assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
             if not session:
                 session = json.loads(done.stdout)["id"]
-    assert load_result(tmp_path / "result.nc").epoch.tolist() == [0, 1, 2]
+    assert load_result(tmp_path / "result.nc").epoch.tolist() == [0, 1, 2, 3, 4]
     assert "<svg" in (tmp_path / "map.svg").read_text(encoding="utf-8")
 
 
