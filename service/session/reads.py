@@ -6,6 +6,7 @@ Each is a task that names a session and the key it must belong to, and gives bac
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -13,7 +14,9 @@ from sqlalchemy import Connection, Row
 
 from service.errors import TooLargeError
 from service.messages.documents import dump
-from service.session.geojson import feature_collection
+from service.session.geojson import feature_collection, json_fg
+from service.session.locations import location_data
+from service.session.mcap_file import mcap_file
 from service.session.results import (
     latest_epoch,
     map_document,
@@ -24,10 +27,28 @@ from service.session.results import (
 )
 from service.session.smoothing import smoothed_document
 from service.session.tasks import TaskContext
+from service.session.trajectories import tum_text
 from service.storage.store import Store
 
-__all__ = ["ExportRead", "MapRead", "MeasurementsRead", "PictureRead", "SmoothRead", "TrackRead"]
+__all__ = [
+    "ExportFormat",
+    "ExportRead",
+    "MapFormat",
+    "MapRead",
+    "MeasurementsRead",
+    "PictureRead",
+    "SmoothRead",
+    "TrackRead",
+]
 
+ExportFormat = Literal["netcdf", "mcap", "tum"]
+MapFormat = Literal["json", "geojson", "json-fg", "location"]
+_MAPS: dict[MapFormat, Callable[[dict[str, Any], str], dict[str, Any]]] = {
+    "json": lambda document, _: document,
+    "geojson": lambda document, _: feature_collection(document),
+    "json-fg": json_fg,
+    "location": location_data,
+}
 _COLUMNS = (
     "epoch",
     "time_s",
@@ -87,13 +108,13 @@ class MapRead(_Read):
     """The map at an epoch, JSON."""
 
     epoch: int
-    format: Literal["json", "geojson"]
+    format: MapFormat
 
     def look(self, store: Store, row: Row[Any], connection: Connection) -> str:
         """The document."""
         result = session_result(store, row, connection, self.epoch)
         document = map_document(result, json.loads(row.config)["start_frame"])
-        return dump(feature_collection(document) if self.format == "geojson" else document)
+        return dump(_MAPS[self.format](document, row.id))
 
 
 @dataclass(frozen=True)
@@ -110,12 +131,22 @@ class PictureRead(_Read):
 
 @dataclass(frozen=True)
 class ExportRead(_Read):
-    """All estimates as a result file."""
+    """All estimates as a file."""
+
+    format: ExportFormat
 
     def look(self, store: Store, row: Row[Any], connection: Connection) -> bytes:
         """The file."""
         latest_epoch(row, None)
-        return result_file(session_result(store, row, connection))
+        result = session_result(store, row, connection)
+        if self.format == "netcdf":
+            return result_file(result)
+        frame = json.loads(row.config)["start_frame"]
+        document = map_document(result, frame)
+        if self.format == "mcap":
+            return mcap_file(result, document, (frame or {}).get("heading_rad", 0.0))
+        rows = zip(result.time_s.tolist(), document["track_m"], strict=True)
+        return tum_text((time_s, x, y) for time_s, (x, y) in rows).encode()
 
 
 @dataclass(frozen=True)

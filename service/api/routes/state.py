@@ -7,7 +7,16 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Response
 
 from service.api.context import Context, ContextDep, SessionAccess, SessionDep
-from service.session.reads import ExportRead, MapRead, MeasurementsRead, PictureRead, SmoothRead, TrackRead
+from service.session.reads import (
+    ExportFormat,
+    ExportRead,
+    MapFormat,
+    MapRead,
+    MeasurementsRead,
+    PictureRead,
+    SmoothRead,
+    TrackRead,
+)
 from service.session.results import latest_epoch
 from service.session.tasks import Task
 from service.session.workers import Lane
@@ -19,6 +28,11 @@ router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["state"])
 EpochQuery = Annotated[
     int | None, Query(ge=0, le=2**31 - 2, description="Epoch to look at; by default the latest.")
 ]
+_EXPORTS: dict[ExportFormat, tuple[str, str]] = {
+    "netcdf": ("application/x-netcdf", "result.nc"),
+    "mcap": ("application/octet-stream", "result.mcap"),
+    "tum": ("text/plain", "track.txt"),
+}
 _JSON, _NETCDF = "application/json", "application/x-netcdf"
 
 
@@ -65,12 +79,14 @@ async def map_(
     session: SessionDep,
     here: ContextDep,
     epoch: EpochQuery = None,
-    format: Literal["json", "geojson"] = "json",
+    format: Annotated[
+        MapFormat, Query(description="`location` is `LocationData` of `Nlmf_Location` (3GPP TS 29.572).")
+    ] = "json",
 ) -> Response:
     """Walls as the segments on which reflections were seen, anchors, agent and track.
 
-    In the frame of the floor plan if the session states its start frame. GeoJSON
-    coordinates are metres of that local frame, not degrees.
+    In the frame of the floor plan if the session states its start frame. Coordinates of GeoJSON and
+    JSON-FG are metres of that local frame, not degrees.
     """
     last = await _epoch(here, session, epoch)
     return await _read(here, session, MapRead(session.id, session.key_id, last, format), _JSON)
@@ -89,10 +105,16 @@ async def map_png(session: SessionDep, here: ContextDep, epoch: EpochQuery = Non
 
 
 @router.get("/export", summary="All estimates as a result file", response_class=Response)
-async def export(session: SessionDep, here: ContextDep) -> Response:
-    """All estimates with covariances as netCDF: what ``hapslam evaluate`` and ``hapslam plot`` read."""
-    task = ExportRead(session.id, session.key_id)
-    return _named(await _read(here, session, task, _NETCDF), f"{session.id}-result.nc")
+async def export(session: SessionDep, here: ContextDep, format: ExportFormat = "netcdf") -> Response:
+    """All estimates as a file.
+
+    `netcdf` has everything with covariances: what `hapslam evaluate` and `hapslam plot` read. `mcap` has
+    poses with covariances and markers of the map as ROS 2 messages, for Foxglove and rosbag2. `tum` is the
+    track as text, in the frame of the floor plan if the session states its start frame.
+    """
+    task = ExportRead(session.id, session.key_id, format)
+    media_type, suffix = _EXPORTS[format]
+    return _named(await _read(here, session, task, media_type), f"{session.id}-{suffix}")
 
 
 @router.get("/measurements", summary="All measurements as a file", response_class=Response)
