@@ -21,7 +21,7 @@ __all__ = ["BranchLimits", "PlacePaths", "updated", "weigh_labellings"]
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 _LOG_2PI: Final = float(np.log(2.0 * np.pi))
-_PER_PATH: Final = 8  # state variables that a path over one bounce depends on
+_PER_PATH: Final = 9  # state variables that a path over one bounce depends on
 
 
 class PlacePaths(NamedTuple):
@@ -101,10 +101,11 @@ def _moved(layout: Layout, k: int, mean: Array, covariance: Array, places: Place
 def _path_lengths(layout: Layout, k: int, mean: Array, wall: Index) -> tuple[Array, Index, Array, Array]:
     """Lengths (C,) of paths of anchor ``k`` over each wall or none, and their derivatives.
 
-    These are the variables (C, 8) that they depend on, the derivatives by these, and those (C,) by the
+    These are the variables (C, 9) that they depend on, the derivatives by these, and those (C,) by the
     squared height.
     """
     count, a = len(wall), FIRST_ANCHOR + PER_ANCHOR * k
+    scale = 1.0 + mean[a + 4]
     length, by_height = np.empty(count), np.empty(count)
     index, slope = np.zeros((count, _PER_PATH), dtype=np.int64), np.zeros((count, _PER_PATH))
     source = np.zeros((layout.anchors, 1 + layout.slots, 2))
@@ -115,8 +116,8 @@ def _path_lengths(layout: Layout, k: int, mean: Array, wall: Index) -> tuple[Arr
             v = FIRST_ANCHOR + PER_ANCHOR * layout.anchors + 2 * wall[c]
             source[k, f, 0], source[k, f, 1] = mirror(mean[a], mean[a + 1], mean[v], mean[v + 1])
         dx, dy = mean[0] - source[k, f, 0], mean[1] - source[k, f, 1]
-        slanted = np.sqrt(max(dx * dx + dy * dy + mean[a + 2], 1e-6))
-        length[c], by_height[c] = slanted + mean[a + 3], 0.5 / slanted
+        slanted = scale * np.sqrt(max(dx * dx + dy * dy + mean[a + 2], 1e-6))
+        length[c], by_height[c] = slanted + mean[a + 3], 0.5 * scale * scale / slanted
         length_gradient(layout, mean, source, k, f, slanted, index[c], slope[c])
     return length, index, slope, by_height
 

@@ -18,6 +18,7 @@ from estimator.slam.gaussian.reclassification import Reclassification
 from estimator.slam.gaussian.sweep_update import SweepMatching
 from estimator.slam.gaussian.update import Corrections, UpdateModel
 from estimator.slam.mixture_reduction import ReduceModel, Reduction, reduction_model
+from estimator.slam.models.clocks import Clocks
 from estimator.slam.models.directions import Directions
 from estimator.slam.models.motion import Motion
 from estimator.slam.models.noise import MeasurementNoise
@@ -46,7 +47,9 @@ class GaussianConfig:
     Parameters
     ----------
     noise : MeasurementNoise
-        Noise of path lengths, misses, clutter, heights and clocks.
+        Noise of path lengths, misses, clutter, heights and gains.
+    clocks : Clocks
+        Biases and scales of path lengths.
     motion : Motion
         How the agent moves.
     visibility : Visibility
@@ -82,6 +85,7 @@ class GaussianConfig:
     """
 
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
+    clocks: Clocks = field(default_factory=Clocks)
     motion: Motion = field(default_factory=Motion)
     visibility: Visibility = field(default_factory=Visibility)
     directions: Directions = field(default_factory=Directions)

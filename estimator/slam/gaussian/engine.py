@@ -119,9 +119,11 @@ def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> Gaus
         if epoch.sweep and state.shared:
             hypotheses = with_turns(hypotheses, step_s, config.motion)
         hypotheses = predict_hypotheses(
+            state.layout,
             hypotheses,
             step_s,
-            config.motion.acceleration_variance,
+            config.motion.driving(step_s),
+            config.clocks.model,
             config.visibility.appear_probability,
             config.visibility.vanish_probability,
             epoch.was_asked,

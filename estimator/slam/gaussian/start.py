@@ -18,6 +18,7 @@ from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.state import GaussianState, Slots
+from estimator.slam.models.clocks import clock_prior
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.path_buffer import PathBuffer
 from estimator.slam.models.path_loss import first_losses
@@ -96,9 +97,7 @@ def start(
         place = (NOWHERE_M, 0.0) if anchors_m is None else anchors_m[k]
         mean[layout.anchor(k)] = *place, config.noise.height2_mean_m2, 0.0
         covariance[layout.height2(k), layout.height2(k)] = config.noise.height2_std_m2**2
-    biases = [layout.bias(k) for k in range(layout.anchors)]
-    together = np.ones((len(biases), len(biases))) if config.noise.clock_bias_common else np.eye(len(biases))
-    covariance[np.ix_(biases, biases)] = config.noise.clock_bias_std_m**2 * together
+    clock_prior(covariance, layout, config.clocks)
 
     return state_of(
         layout,

@@ -15,7 +15,7 @@ from estimator.slam.models.state_vector import Layout
 __all__ = ["GaussianState", "Slots", "load_state", "save_state"]
 
 Array = NDArray[np.float64]
-FORMAT = "hapslam-gaussian-state/5"
+FORMAT = "hapslam-gaussian-state/6"
 
 
 class Slots(NamedTuple):

@@ -35,7 +35,7 @@ __all__ = [
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 mirror = compiled(mirror_xy)  # the image of a point in the wall with VRP v, RP at the origin
-MOST_ENTRIES: Final = 10  # of the state vector that one path depends on: agent 2, anchor 4, walls 4
+MOST_ENTRIES: Final = 11  # of the state vector that one path depends on: agent 2, anchor 5, walls 4
 
 
 @compiled
@@ -200,13 +200,13 @@ def gradient(
         Anchor and feature.
     cx, cy : float
         The covector.
-    index, value : ndarray, shape (10,)
+    index, value : ndarray, shape (11,)
         Take the entries that are not zero: where they stand, and what they are.
 
     Returns
     -------
     int
-        How many there are; two are left free for what depends on more than places.
+        How many there are; three are left free for what depends on more than places.
     """
     anchors, slots = layout.anchors, layout.slots
     first_slot = FIRST_ANCHOR + PER_ANCHOR * anchors

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from estimator.compiled import compiled
 from estimator.slam.models.settings import Settings, not_negative, positive
 
-__all__ = ["Motion", "predict_motion", "process_noise", "transition"]
+__all__ = ["Driving", "Motion", "predict_motion", "process_noise", "transition"]
 
 Array = NDArray[np.float64]
 
@@ -22,7 +23,11 @@ class Motion(Settings):
     Parameters
     ----------
     acceleration_variance : float
-        Driving noise of the near-constant-velocity motion (39), m^2/s^4 per axis.
+        Driving noise of the near-constant-velocity motion (39), m^2/s^4 per axis: of an acceleration held
+        over each step.
+    acceleration_density : float
+        Instead of it, where above 0, the spectral density of an acceleration that is white in time,
+        m^2/s^3 per axis: what an agent does in a second is then the same, however many epochs it has.
     velocity_std_m_s : float
         Standard deviation of the agent's unknown initial velocity, per axis.
     turn_rate_hz : float
@@ -38,11 +43,33 @@ class Motion(Settings):
     """
 
     acceleration_variance: float = positive(0.0278)
+    acceleration_density: float = not_negative(0.0)
     velocity_std_m_s: float = positive(1.0)
     turn_rate_hz: float = not_negative(0.04)
     max_speed_m_s: float = not_negative(0.0)
     speed_slack: float = positive(0.1)
     start_std_m: float = not_negative(0.0)
+
+    def driving(self, step_s: float) -> Driving:
+        """Covariance per axis that the driving noise adds in a step."""
+        if self.acceleration_density > 0.0:
+            q = self.acceleration_density
+            return Driving(q * step_s**3 / 3.0, q * step_s**2 / 2.0, q * step_s)
+        a, place, speed = self.acceleration_variance, 0.5 * step_s * step_s, step_s
+        return Driving(a * place * place, a * place * speed, a * speed * speed)
+
+
+class Driving(NamedTuple):
+    """What a step adds per axis to the variances of place and of velocity, and to their covariance."""
+
+    place: float
+    both: float
+    speed: float
+
+    @property
+    def covariance(self) -> Array:
+        """The same for (x, y, vx, vy), shape (4, 4)."""
+        return np.asarray(np.kron([[self.place, self.both], [self.both, self.speed]], np.eye(2)))
 
 
 def transition(step_s: float) -> Array:
@@ -59,7 +86,7 @@ def process_noise(step_s: float, acceleration_variance: float) -> Array:
 
 
 @compiled
-def predict_motion(mean: Array, covariance: Array, step_s: float, acceleration_variance: float) -> None:
+def predict_motion(mean: Array, covariance: Array, step_s: float, driving: Driving) -> None:
     """Move the agent of a Gaussian on by one step, in place; anchors and walls stay."""
     n = mean.size
     for a in range(2):
@@ -69,12 +96,11 @@ def predict_motion(mean: Array, covariance: Array, step_s: float, acceleration_v
     for i in range(n):
         for a in range(2):
             covariance[i, a] += step_s * covariance[i, 2 + a]
-    place, speed = 0.5 * step_s * step_s, step_s
     for a in range(2):
-        covariance[a, a] += acceleration_variance * place * place
-        covariance[a, 2 + a] += acceleration_variance * place * speed
-        covariance[2 + a, a] += acceleration_variance * place * speed
-        covariance[2 + a, 2 + a] += acceleration_variance * speed * speed
+        covariance[a, a] += driving.place
+        covariance[a, 2 + a] += driving.both
+        covariance[2 + a, a] += driving.both
+        covariance[2 + a, 2 + a] += driving.speed
     for i in range(4):  # rounding leaves the block of the agent unsymmetric
         for j in range(n):
             if j >= 4 or j > i:

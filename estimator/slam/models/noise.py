@@ -1,4 +1,4 @@
-"""What is believed of measurements: noise, misses, clutter, unknown heights and clocks."""
+"""What is believed of measurements: noise, misses, clutter, unknown heights and gains."""
 
 from __future__ import annotations
 
@@ -28,11 +28,6 @@ class MeasurementNoise(Settings):
     height2_mean_m2, height2_std_m2 : float
         Prior of the squared height difference of anchor and agent, square metres;
         (0, 0) for planar measurements.
-    clock_bias_std_m : float
-        Standard deviation of the anchors' unknown constant clock bias as a path length,
-        metres; 0 if the clocks agree.
-    clock_bias_common : bool
-        Whether all anchors have the same bias.
     gain_offset_std_db : float
         Standard deviation of an unknown constant offset of each anchor's gains (an unknown EIRP), dB; 0
         if they are calibrated. The line of sight tells it.
@@ -47,8 +42,6 @@ class MeasurementNoise(Settings):
     region_m: float = positive(180.0)
     height2_mean_m2: float = not_negative(1.0)
     height2_std_m2: float = not_negative(1.0)
-    clock_bias_std_m: float = not_negative(0.0)
-    clock_bias_common: bool = not_negative(False)
     gain_offset_std_db: float = not_negative(0.0)
     most_paths: int = positive(MOST_PATHS)
 

@@ -1,8 +1,9 @@
 """Path lengths of features, h(x), and their derivatives.
 
 A path of horizontal length d from an anchor ``w`` square metres of squared height away, whose clock is ``b``
-metres off, is ``sqrt(d^2 + w) + b`` long (:mod:`estimator.slam.models.state_vector`); d is the distance
-from its source to the agent (:mod:`estimator.slam.models.features`).
+metres off and whose ranges are out of scale by ``s``, is ``(1 + s) sqrt(d^2 + w) + b`` long
+(:mod:`estimator.slam.models.state_vector`); d is the distance from its source to the agent
+(:mod:`estimator.slam.models.features`).
 """
 
 from __future__ import annotations
@@ -26,14 +27,15 @@ Index = NDArray[np.int64]
 
 @compiled
 def path_lengths(layout: Layout, mean: Array, source: Array) -> Array:
-    """Lengths (K, F) without the clock bias: slanted distances from the sources (K, F, 2), metres."""
+    """Lengths (K, F) without the clock bias: scaled slanted distances from the sources (K, F, 2), metres."""
     anchors, features = source.shape[0], source.shape[1]
     slanted = np.empty((anchors, features))
     for k in range(anchors):
         height2 = mean[FIRST_ANCHOR + PER_ANCHOR * k + 2]
+        scale = 1.0 + mean[FIRST_ANCHOR + PER_ANCHOR * k + 4]
         for f in range(features):
             dx, dy = mean[0] - source[k, f, 0], mean[1] - source[k, f, 1]
-            slanted[k, f] = np.sqrt(max(dx * dx + dy * dy + height2, 1e-6))
+            slanted[k, f] = scale * np.sqrt(max(dx * dx + dy * dy + height2, 1e-6))
     return slanted
 
 
@@ -42,13 +44,16 @@ def length_gradient(
     layout: Layout, mean: Array, source: Array, k: int, f: int, slanted: float, index: Index, value: Array
 ) -> int:
     """Derivatives of a path length, the entries that are not zero; see :func:`features.gradient`."""
-    cx = (mean[0] - source[k, f, 0]) / slanted
-    cy = (mean[1] - source[k, f, 1]) / slanted
-    count = gradient(layout, mean, source, k, f, cx, cy, index, value)
     a = FIRST_ANCHOR + PER_ANCHOR * k
-    index[count], value[count] = a + 2, 0.5 / slanted
+    scale = 1.0 + mean[a + 4]
+    distance = slanted / scale
+    cx = scale * (mean[0] - source[k, f, 0]) / distance
+    cy = scale * (mean[1] - source[k, f, 1]) / distance
+    count = gradient(layout, mean, source, k, f, cx, cy, index, value)
+    index[count], value[count] = a + 2, 0.5 * scale / distance
     index[count + 1], value[count + 1] = a + 3, 1.0
-    return count + 2
+    index[count + 2], value[count + 2] = a + 4, distance
+    return count + 3
 
 
 @compiled

@@ -7,14 +7,14 @@ wall (slot 0), whose y coordinate is therefore zero without uncertainty. The ang
 estimator's frame is one more state: path delays do not depend on it, so passive
 measurements cannot make the filter believe that they tell the rotation of the map.
 
-    [x, y, vx, vy, theta, e, psi, (x, y, w, b) per anchor, (x, y) per wall slot]
+    [x, y, vx, vy, theta, e, psi, (x, y, w, b, s) per anchor, (x, y) per wall slot]
 
 ``e`` is the echo bias, metres: all ranges of all sweeps are too long by it, since one front end took them.
 ``psi`` is the direction of the agent's body in the gauge frame, radians, which odometry turns on.
 
 ``w`` is the squared height difference of anchor and agent, square metres: a path of
-horizontal length d is ``sqrt(d^2 + w)`` long. ``b`` is the anchor's clock bias, metres: it
-adds to every path length.
+horizontal length d is ``(1 + s) sqrt(d^2 + w) + b`` long. ``b`` is the anchor's clock bias, metres, and ``s``
+its range scale, a share of 1 (:mod:`estimator.slam.models.clocks`).
 
 Where features are virtual anchors (method ``va``: each anchor has its own), a slot holds
 ``(r, phi, cx, cy)`` instead: the virtual anchor stands at distance ``r`` and bearing ``phi`` from
@@ -44,7 +44,7 @@ THETA: Final = 4
 ECHO_BIAS: Final = 5
 HEADING: Final = 6
 FIRST_ANCHOR: Final = 7
-PER_ANCHOR: Final = 4
+PER_ANCHOR: Final = 5
 NOWHERE_M: Final = 1e4  # coordinates of unknown anchors and of the VRPs of empty slots
 
 
@@ -88,7 +88,7 @@ class Layout(NamedTuple):
     def anchor(self, k: int) -> slice:
         """x, y, w, b of anchor ``k``."""
         begin = FIRST_ANCHOR + PER_ANCHOR * k
-        return slice(begin, begin + PER_ANCHOR)
+        return slice(begin, begin + 4)
 
     def anchor_xy(self, k: int) -> slice:
         """x, y of anchor ``k``."""
@@ -102,6 +102,10 @@ class Layout(NamedTuple):
     def bias(self, k: int) -> int:
         """Index of the clock bias of anchor ``k``."""
         return FIRST_ANCHOR + PER_ANCHOR * k + 3
+
+    def scale(self, k: int) -> int:
+        """Index of the range scale of anchor ``k``."""
+        return FIRST_ANCHOR + PER_ANCHOR * k + 4
 
     @property
     def walls(self) -> slice:

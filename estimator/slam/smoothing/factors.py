@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from estimator.errors import InputError
 from estimator.measurements import GaussianVrp
 from estimator.slam.association.gating import Gating
+from estimator.slam.models.clocks import Clocks
 from estimator.slam.models.motion import Motion
 from estimator.slam.models.noise import MeasurementNoise
 from estimator.slam.models.state_vector import AGENT, THETA, Layout
@@ -101,7 +102,11 @@ class Models(Protocol):
 
     @property
     def noise(self) -> MeasurementNoise:
-        """Noise of path lengths, heights and clocks."""
+        """Noise of path lengths, and heights."""
+
+    @property
+    def clocks(self) -> Clocks:
+        """Biases of path lengths."""
 
     @property
     def motion(self) -> Motion:
@@ -168,7 +173,7 @@ class Problem:
 
     def basis(self) -> tuple[Array, Array]:
         """Free directions (n, q) of what stands still, and the information (q,) of their priors."""
-        layout, config = self.layout, self.config.noise
+        layout, config, clocks = self.layout, self.config.noise, self.config.clocks
         columns, information = [THETA], [0.0]
         for k in range(layout.anchors):
             place = layout.anchor_xy(k)
@@ -177,15 +182,15 @@ class Problem:
             if config.height2_std_m2 > 0.0:
                 columns.append(layout.height2(k))
                 information.append(config.height2_std_m2**-2)
-            if config.clock_bias_std_m > 0.0 and not (config.clock_bias_common and k):
+            if clocks.clock_bias_std_m > 0.0 and not (clocks.clock_bias_common and k):
                 columns.append(layout.bias(k))
-                information.append(config.clock_bias_std_m**-2)
+                information.append(clocks.clock_bias_std_m**-2)
         walls = np.arange(layout.walls.start, layout.walls.stop)
         columns += [int(c) for c in np.delete(walls, 1)]  # the gauge: VRP 0 lies on the x axis
         information += [_VAGUE] * (len(walls) - 1)
         basis = np.zeros((layout.size, len(columns)))
         basis[columns, np.arange(len(columns))] = 1.0
-        if config.clock_bias_std_m > 0.0 and config.clock_bias_common:
+        if clocks.clock_bias_std_m > 0.0 and clocks.clock_bias_common:
             shared = columns.index(layout.bias(0))
             basis[[layout.bias(k) for k in range(layout.anchors)], shared] = 1.0
         return basis, np.array(information)

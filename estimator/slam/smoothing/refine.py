@@ -115,11 +115,17 @@ def refine(
     Raises
     ------
     InputError
-        If the two do not fit, or the result holds no wall that was sensed at the start.
+        If the two do not fit, the result holds no wall that was sensed at the start, or clocks are not
+        constant.
     """
     if model is None:
         model = cast(Models, config_for(measurements, engine="gaussian"))
     config = config or RefineConfig()
+    if not model.clocks.constant:
+        raise InputError(
+            "smoother: expected constant clock biases and ranges to scale, "
+            "got clock_walk_ppm, clock_free_std_m or range_scale_std above 0"
+        )
     if len(result.epoch) != len(measurements.epochs):
         raise InputError(f"result: expected {len(measurements.epochs)} epochs, got {len(result.epoch)}")
     problem, at, wall_id = _start(measurements, result, model, config.wall_gate_sigma)
@@ -195,7 +201,7 @@ def _bearing_variance(wall: GaussianVrp) -> float:
 
 def _biased(problem: Problem, at: Trajectory, heard: RunPaths, config: RefineConfig) -> Trajectory:
     """Clock biases from the offset that most paths have in common, if there may be any."""
-    model, layout = problem.config.noise, problem.layout
+    model, layout = problem.config.clocks, problem.layout
     if model.clock_bias_std_m == 0.0:
         return at
     prediction = predict_paths(at.states(), layout)

@@ -9,8 +9,11 @@ ROOT = Path(__file__).resolve().parents[3]
 SLAM = ROOT / "estimator" / "slam"
 ALLOWED = {
     # positions in the state vector, sizes and codes
-    "models/state_vector.py": {"THETA", "FIRST_ANCHOR", "PER_ANCHOR", "NOWHERE_M"},
+    "models/state_vector.py": {
+        *("THETA", "ECHO_BIAS", "HEADING", "FIRST_ANCHOR", "PER_ANCHOR", "NOWHERE_M"),
+    },
     "models/features.py": {"MOST_ENTRIES"},
+    "models/sweeps.py": {"FLASH_ENTRIES", "_LEAST_SHARE"},
     # of angles of which nothing is known: the variance of a uniform one
     "models/directions.py": {"_ANY_HEADING_RAD2"},
     "gaussian/sweep_update.py": {"_ANY_HEADING_RAD2", "_QUARTER"},

@@ -42,7 +42,8 @@ def shorter_than_sight(
         for k in range(layout.anchors):
             a = FIRST_ANCHOR + PER_ANCHOR * k
             dx, dy = mean[r, a] - mean[r, 0], mean[r, a + 1] - mean[r, 1]
-            sight = np.sqrt(max(dx * dx + dy * dy + mean[r, a + 2], 0.0)) + mean[r, a + 3]
+            flat = np.sqrt(max(dx * dx + dy * dy + mean[r, a + 2], 0.0))
+            sight = (1.0 + mean[r, a + 4]) * flat + mean[r, a + 3]
             rarer = np.log(min(clutter_density / clutter[k], 1.0))
             for j in range(paths.number[k]):
                 margin = gate_sigma * max(paths.std_m[k, j], range_std_m)
@@ -64,7 +65,8 @@ def recent_paths(state: GaussianState, k: int, config: GaussianConfig) -> Recent
     if len(rows) < config.lifecycle.confirm_support:
         return None
     device = state.hypotheses.mean[state.hypotheses.best, state.layout.anchor(k)]
-    flat = np.sqrt(np.maximum((buffer.length_m[rows] - device[3]) ** 2 - device[2], 1e-4))
+    scale = 1.0 + state.hypotheses.mean[state.hypotheses.best, state.layout.scale(k)]
+    flat = np.sqrt(np.maximum(((buffer.length_m[rows] - device[3]) / scale) ** 2 - device[2], 1e-4))
     variance = max(noise.range_std_m, float(np.median(buffer.std_m[rows]))) ** 2
     spread = track.std_m[begin:] ** 2
     density = clutter_density(buffer, state.layout.anchors, state.blind, noise, config.clutter)

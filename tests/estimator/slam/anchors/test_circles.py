@@ -78,7 +78,8 @@ def test_of_many_pairs_those_stay_that_anchors_in_the_room_show(seed):
     for x, y in rng.uniform(-60.0, 60.0, (500, 2)):
         if walls_between(x, y, walls):
             continue
-        mean = np.concatenate([np.zeros(5), [x, y, 0.0, 0.0], walls.ravel()])
+        mean = np.zeros(layout.size)
+        mean[layout.anchor_xy(0)], mean[layout.walls] = (x, y), walls.ravel()
         possible = np.asarray(predict_paths(mean[None], layout).possible)[0, 0, 8:].reshape(7, 7)
         shown |= set(zip(*(index.tolist() for index in np.nonzero(possible)), strict=True))
     assert 0 < len(shown) < 42

@@ -75,7 +75,8 @@ def length_of(mean: np.ndarray, wall: int) -> complex:
     if wall >= 0:
         vrp = mean[LAYOUT.wall(wall)]
         source = source + (1.0 - 2.0 * np.sum(source * vrp) / np.sum(vrp * vrp)) * vrp
-    return np.sqrt(np.sum((mean[:2] - source) ** 2) + height2) + bias
+    slanted = np.sqrt(np.sum((mean[:2] - source) ** 2) + height2)
+    return (1.0 + mean[LAYOUT.scale(1)]) * slanted + bias
 
 
 def dense(base: Hypotheses, r: int, v: int, std: float = 10.0):

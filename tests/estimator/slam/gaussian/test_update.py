@@ -9,9 +9,10 @@ from scipy.stats import multivariate_normal
 
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.update import predict_hypotheses, update_hypotheses
+from estimator.slam.models.clocks import Clocks
 from estimator.slam.models.epoch_paths import EpochPaths
 from estimator.slam.models.hypotheses import Hypotheses
-from estimator.slam.models.motion import process_noise, transition
+from estimator.slam.models.motion import Motion, process_noise, transition
 from estimator.slam.models.path_lengths import predict_paths
 from estimator.slam.models.state_vector import Layout
 from tests.estimator.slam.models.test_path_lengths import state_of
@@ -99,7 +100,9 @@ def test_prediction_moves_the_agent_and_visibility():
     rng, layout = np.random.default_rng(2), Layout(1, 1)
     root = rng.normal(size=(layout.size, layout.size))
     hypotheses = one_hypothesis(layout, rng.normal(size=layout.size), root @ root.T, 0.7, [True])
-    after = predict_hypotheses(hypotheses, 0.5, 0.2, 0.02, 0.1, np.array([True]))
+    driving = Motion(acceleration_variance=0.2).driving(0.5)
+    clocks = Clocks().model
+    after = predict_hypotheses(layout, hypotheses, 0.5, driving, clocks, 0.02, 0.1, np.array([True]))
     still = layout.size - 4
     a = block_diag(transition(0.5), np.eye(still))
     q = block_diag(process_noise(0.5, 0.2), np.zeros((still, still)))
@@ -117,7 +120,7 @@ def test_an_anchor_that_was_not_asked_keeps_its_visibility():
     mean[layout.walls] = 12.0, 0.0
     before = one_hypothesis(layout, mean, 0.01 * np.eye(layout.size), 0.7, [True])
     asked = np.array([True, False])
-    after = predict_hypotheses(before, 0.5, 0.2, 0.02, 0.1, asked)
+    after = predict_hypotheses(layout, before, 0.5, Motion().driving(0.5), Clocks().model, 0.02, 0.1, asked)
     assert np.all(after.visibility[0, 1] == 0.7)
     assert np.all(after.visibility[0, 0] != 0.7)
     done = taken(layout, before, path_table(np.ones((2, 1)), 0.1, [0, 0], asked), GaussianConfig())

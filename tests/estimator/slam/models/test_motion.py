@@ -18,7 +18,7 @@ def test_prediction_is_the_dense_one():
     a = block_diag(transition(0.7), np.eye(5))
     q = block_diag(process_noise(0.7, 0.3), np.zeros((5, 5)))
     expected, spread = a @ mean, a @ covariance @ a.T + q
-    predict_motion(mean, covariance, 0.7, 0.3)
+    predict_motion(mean, covariance, 0.7, Motion(acceleration_variance=0.3).driving(0.7))
     np.testing.assert_allclose(mean, expected, atol=1e-12)
     np.testing.assert_allclose(covariance, spread, atol=1e-12)
     assert np.array_equal(covariance, covariance.T)
@@ -29,6 +29,16 @@ def test_noise_is_an_acceleration_held_over_the_step():
     draws = np.random.default_rng(2).normal(size=(100_000, 2)) * np.sqrt(0.3)
     moved = np.concatenate([0.5 * 0.7**2 * draws, 0.7 * draws], axis=1)
     np.testing.assert_allclose(np.cov(moved.T), process_noise(0.7, 0.3), atol=0.003)
+
+
+def test_white_acceleration_does_not_depend_on_the_number_of_steps():
+    """Ten steps of a tenth add what one step adds; of a held acceleration they add a tenth of it."""
+    motion, total = Motion(acceleration_density=0.4), np.zeros((4, 4))
+    for _ in range(10):
+        total = transition(0.1) @ total @ transition(0.1).T + motion.driving(0.1).covariance
+    np.testing.assert_allclose(total, motion.driving(1.0).covariance, rtol=1e-12, atol=1e-15)
+    held = Motion(acceleration_variance=0.4).driving(0.7)
+    np.testing.assert_allclose(held.covariance, process_noise(0.7, 0.4), atol=1e-15)
 
 
 def test_settings_are_checked():

@@ -30,6 +30,7 @@ def test_every_coordinate_stands_once(shared, anchors, slots):
         assert layout.anchor_xy(k).start == layout.anchor(k).start
         assert layout.height2(k) == layout.anchor(k).start + 2
         assert layout.bias(k) == layout.anchor(k).stop - 1
+        count[layout.scale(k)] += 1
     for slot in range(slots):
         count[layout.wall(slot)] += 1
     assert np.all(count == 1)

@@ -25,6 +25,7 @@ def some_state():
     """Random state vectors with virtual anchors."""
     mean = np.random.default_rng(5).normal(size=(4, LAYOUT.size)) * 10.0
     mean[:, [LAYOUT.height2(k) for k in range(2)]] = 1.0
+    mean[:, [LAYOUT.scale(k) for k in range(2)]] *= 0.01
     return mean
 
 
@@ -43,7 +44,8 @@ def lengths(mean):
     offset = mean[:, None, None, :2] - sources(mean)
     height2 = np.stack([mean[:, LAYOUT.height2(k)] for k in range(2)], axis=1)
     bias = np.stack([mean[:, LAYOUT.bias(k)] for k in range(2)], axis=1)
-    return np.sqrt(np.sum(offset**2, axis=-1) + height2[:, :, None]) + bias[:, :, None]
+    scale = np.stack([1.0 + mean[:, LAYOUT.scale(k)] for k in range(2)], axis=1)
+    return scale[:, :, None] * np.sqrt(np.sum(offset**2, axis=-1) + height2[:, :, None]) + bias[:, :, None]
 
 
 def test_lengths_and_their_derivatives():
@@ -81,7 +83,7 @@ def test_a_path_knows_the_agent_and_its_own_point_alone():
         for slot in range(3):
             own = np.zeros(LAYOUT.size, dtype=bool)
             own[:2] = own[LAYOUT.wall(slot)] = True
-            own[[LAYOUT.height2(k), LAYOUT.bias(k)]] = True
+            own[[LAYOUT.height2(k), LAYOUT.bias(k), LAYOUT.scale(k)]] = True
             assert np.all(jacobian[:, k, 1 + slot, ~own] == 0.0)
 
 
