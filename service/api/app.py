@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib import metadata
-from typing import Any
 
-from fastapi import FastAPI
-from fastapi.openapi.utils import get_openapi
-from pydantic.json_schema import models_json_schema
+from fastapi import Depends, FastAPI
 
 from service.api import problems
 from service.api.admission import Admission
 from service.api.context import Context
 from service.api.middleware import RequestMiddleware
+from service.api.openapi import Description, operation_id
+from service.api.parameters import known_parameters
 from service.api.routes import (
     echoes,
     events,
@@ -28,10 +27,6 @@ from service.api.routes import (
     uploads,
 )
 from service.api.telemetry import Metrics
-from service.messages.epochs import EpochsRequest
-from service.messages.session_requests import SessionRequest
-from service.messages.sweeps import SweepRequest
-from service.messages.truth import Truth
 from service.settings import Settings
 from service.storage.database import opened
 
@@ -44,9 +39,6 @@ Measurements in, SLAM state out. Make a session, post the walls sensed at the st
 Positions are metres in the estimator's frame (origin: where the agent started; axes: those of its
 arrays there) unless the session states its start frame. Errors are problem documents (RFC 9457).
 """
-
-
-_BODIES = (SessionRequest, SweepRequest, EpochsRequest, Truth)
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -80,6 +72,8 @@ def create_app(settings: Settings) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         responses=problems.PROBLEM_RESPONSES,
+        generate_unique_id_function=operation_id,
+        dependencies=[Depends(known_parameters)],
     )
     app.state.context = here
     problems.install(app)
@@ -87,30 +81,8 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(RequestMiddleware, metrics=here.metrics, timeout_s=settings.request_timeout_s)
     for module in (health, sessions, echoes, measurements, streams, pdus, uploads, state, events, pages):
         app.include_router(module.router)
-    app.openapi = _Description(app)  # type: ignore[method-assign]
+    app.openapi = Description(app)  # type: ignore[method-assign]
     return app
-
-
-class _Description:
-    """The interface's description, with the bodies that routes parse themselves."""
-
-    def __init__(self, app: FastAPI) -> None:
-        self._app, self._document = app, dict[str, Any]()
-
-    def __call__(self) -> dict[str, Any]:
-        """The OpenAPI document, made once."""
-        if not self._document:
-            document = get_openapi(
-                title=self._app.title,
-                version=self._app.version,
-                description=self._app.description,
-                routes=self._app.routes,
-            )
-            models = [(model, "validation") for model in _BODIES]
-            _, found = models_json_schema(models, ref_template="#/components/schemas/{model}")  # type: ignore[arg-type]
-            document.setdefault("components", {}).setdefault("schemas", {}).update(found["$defs"])
-            self._document = document
-        return self._document
 
 
 def _version() -> str:

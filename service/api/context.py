@@ -132,8 +132,10 @@ class Context:
         known = self._terms.get(session)
         if known is None:
             row = await self.run(self.store.session, session.id, session.key_id)
-            known = self._terms[session] = SessionTerms.of(json.loads(row.config))
-            _forget(self._terms)
+            known = SessionTerms.of(json.loads(row.config))
+            if row.next_epoch > 0:  # until then anchors may be added
+                self._terms[session] = known
+                _forget(self._terms)
         return known
 
     async def walls(self, session: SessionAccess) -> int:

@@ -108,7 +108,7 @@ def _methods(request: Request) -> list[str]:
     asked = {**request.scope, "path_params": {}}
     return [
         method
-        for method in ("GET", "POST", "PUT", "DELETE")
+        for method in ("GET", "POST", "PUT", "PATCH", "DELETE")
         if any(route.matches({**asked, "method": method})[0] is Match.FULL for route in request.app.routes)
     ]
 
@@ -121,22 +121,16 @@ def install(app: FastAPI) -> None:
         app.add_exception_handler(kind, _on_error)
 
 
-_PROBLEM = {
-    "type": "object",
-    "required": ["type", "title", "status", "detail", "request_id"],
-    "properties": {
-        "type": {"type": "string"},
-        "title": {"type": "string"},
-        "status": {"type": "integer"},
-        "detail": {"type": "string", "description": "What was expected, and what came."},
-        "request_id": {"type": "string"},
-        "expected": {"type": "object", "description": "Of a conflict: what comes next."},
-        "errors": {"type": "array", "items": {"type": "object"}},
-    },
-}
+_SCHEMA = {"$ref": "#/components/schemas/Problem"}
+_AGAIN = {"Retry-After": {"description": "Seconds after which to come again.", "schema": {"type": "integer"}}}
+_MOMENTARY = (429, 503, 504, 507)
 
 PROBLEM_RESPONSES: dict[int | str, dict[str, Any]] = {
-    status: {"description": text, "content": {_MEDIA_TYPE: {"schema": _PROBLEM}}}
+    status: {
+        "description": text,
+        "content": {_MEDIA_TYPE: {"schema": _SCHEMA}},
+        **({"headers": _AGAIN} if status in _MOMENTARY else {}),
+    }
     for status, text in (
         (400, "The request cannot be read"),
         (401, "An API key is needed"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, model_validator
@@ -9,7 +10,7 @@ from pydantic import ConfigDict, Field, model_validator
 from estimator.slam.run import ENGINES, METHODS
 from service.messages.fields import Finite, Integer, Name, Pair, Positive, Request, Title
 
-__all__ = ["NrTerms", "SessionRequest", "StartFrame"]
+__all__ = ["NrTerms", "SessionChange", "SessionRequest", "StartFrame"]
 
 
 class StartFrame(Request):
@@ -100,3 +101,27 @@ class SessionRequest(Request):
     def config(self) -> dict[str, Any]:
         """What the session's engine is made from (JSON types)."""
         return self.model_dump(mode="json", exclude={"name"})
+
+
+class SessionChange(Request):
+    """What of a session may change: its name at any time; before epoch 0 also its anchors."""
+
+    name: Title | None = None
+    anchors: Annotated[list[Name], Field(fail_fast=True, min_length=1, max_length=1000)] | None = Field(
+        None, description="All anchors: those that the session has, in their order, then others."
+    )
+    known_anchors_m: Annotated[list[Pair], Field(fail_fast=True, max_length=1000)] | None = None
+    nr: NrTerms | None = None
+
+    def changed(self, config: Mapping[str, Any]) -> SessionRequest:
+        """The session's request with the changes; raises ValueError where they do not fit it."""
+        known, given = config["anchors"], self.anchors
+        if given is not None and given[: len(known)] != known:
+            raise ValueError(f"anchors: expected {', '.join(known)} first, in this order, then others")
+        stated = self.model_dump(mode="json", include=self.model_fields_set - {"name"}, exclude_none=True)
+        return SessionRequest.model_validate({**config, **stated})
+
+    @property
+    def renames_only(self) -> bool:
+        """Whether nothing but the name changes."""
+        return not self.model_fields_set - {"name"}

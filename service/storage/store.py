@@ -240,6 +240,34 @@ class Store:
             )
         return session_id
 
+    def change(self, session_id: str, key_id: str | None, name: str | None, config: str | None) -> None:
+        """Change a session's name, or its configuration as long as it has no epoch.
+
+        Raises
+        ------
+        NotFoundError
+            If there is no such session for that key.
+        ConflictError
+            If its configuration was to change and it has epochs.
+        """
+        with self.writing() as connection:
+            row = _found(connection, session_id, key_id, lock=self.engine.dialect.name == "postgresql")
+            if config is not None and row.next_epoch > 0:
+                raise ConflictError(
+                    f"session: expected anchors added before epoch 0, it expects epoch {row.next_epoch} next",
+                    {"next_epoch": row.next_epoch},
+                )
+            connection.execute(
+                sa.update(sessions)
+                .where(sessions.c.id == session_id)
+                .values(
+                    name=row.name if name is None else name,
+                    config=row.config if config is None else config,
+                    updated_at=datetime.now(UTC),
+                    revision=sessions.c.revision + 1,
+                )
+            )
+
     def delete(self, session_id: str, key_id: str | None) -> None:
         """Remove a session with everything of it; raises NotFoundError."""
         with self.writing() as connection:

@@ -10,7 +10,9 @@ from fastapi import APIRouter, Request, Response
 
 from estimator.measurements import GaussianVrp
 from service.api.context import Context, ContextDep, SessionAccess, SessionDep
+from service.api.openapi import described
 from service.errors import TooLargeError
+from service.messages.answers import EpochsAnswer, SweepAnswer
 from service.messages.epochs import EpochsRequest
 from service.messages.sweeps import SweepRequest
 from service.session.beam_sweeps import PointsTask
@@ -50,7 +52,9 @@ _SWEEP = {
 }
 
 
-@router.post("/sweeps", summary="Add walls sensed at the start", openapi_extra=_SWEEP)
+@router.post(
+    "/sweeps", summary="Add walls sensed at the start", openapi_extra=_SWEEP, responses=described(SweepAnswer)
+)
 async def sweeps(
     request: Request, session: SessionDep, here: ContextDep, response: Response
 ) -> dict[str, int]:
@@ -89,6 +93,7 @@ async def take_walls(
     "/epochs",
     summary="Add epochs of paths",
     response_class=Response,
+    responses=described(EpochsAnswer),
     openapi_extra=json_content(EpochsRequest),
 )
 async def epochs(request: Request, session: SessionDep, here: ContextDep) -> Response:

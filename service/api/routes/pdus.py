@@ -7,8 +7,10 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 
 from service.api.context import ContextDep, SessionDep
+from service.api.openapi import described
 from service.api.routes.measurements import limits, take
 from service.api.routes.uploads import FILE, unpacked
+from service.messages.answers import EpochsAnswer
 from service.messages.asn1 import Protocol
 from service.session.pdus import PduTask
 
@@ -18,7 +20,11 @@ router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["measurements"])
 
 
 @router.post(
-    "/pdus", summary="Add an epoch as an encoded message", response_class=Response, openapi_extra=FILE
+    "/pdus",
+    summary="Add an epoch as an encoded message",
+    response_class=Response,
+    responses=described(EpochsAnswer),
+    openapi_extra=FILE,
 )
 async def pdus(
     request: Request,

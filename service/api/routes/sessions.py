@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from sqlalchemy import Row
 
+from estimator.errors import InputError
 from estimator.slam.methods import PAIRS
 from service.api.auth import Caller
 from service.api.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
+from service.api.openapi import described
 from service.errors import TooLargeError, TooManyError
+from service.messages.answers import Method, Session, SessionPage, Share
 from service.messages.documents import dump
-from service.messages.session_requests import SessionRequest
+from service.messages.session_requests import SessionChange, SessionRequest
 from service.messages.truth import Truth
 from service.session.bodies import ParseTask, TruthTask, json_content
 from service.session.fold import engine_of
@@ -41,14 +45,21 @@ async def _once(
 OnceDep = Annotated[Once, Depends(_once)]
 
 
-@router.get("/methods", summary="What a session's method and engine may be")
+@router.get(
+    "/methods", summary="What a session's method and engine may be", responses={200: {"model": list[Method]}}
+)
 async def methods(who: CallerDep) -> list[dict[str, str]]:
     """Pairs of method (what is known and sensed) and engine (how inference is done)."""
     return [{"method": method, "engine": engine} for method, engine in PAIRS]
 
 
 @router.post(
-    "/sessions", status_code=201, summary="Make a session", openapi_extra=json_content(SessionRequest)
+    "/sessions",
+    status_code=201,
+    summary="Make a session",
+    operation_id="create_session",
+    openapi_extra=json_content(SessionRequest),
+    responses={201: {"model": Session}},
 )
 async def create(
     request: Request, here: ContextDep, who: CallerDep, response: Response, once: OnceDep
@@ -76,10 +87,7 @@ async def create_session(
     bool
         Whether it is new.
     """
-    if len(request.anchors) > here.settings.max_anchors:
-        raise TooLargeError(
-            f"anchors: expected at most {here.settings.max_anchors}, got {len(request.anchors)}"
-        )
+    _check_anchors(request, here)
     config = request.config()
     engine_of(config)
     limit, new = here.settings.max_sessions_per_key, new_session_id()
@@ -89,7 +97,13 @@ async def create_session(
     return SessionAccess(made, who.key_id), made == new
 
 
-@router.get("/sessions", summary="List sessions")
+def _check_anchors(request: SessionRequest, here: Context) -> None:
+    most = here.settings.max_anchors
+    if len(request.anchors) > most:
+        raise TooLargeError(f"anchors: expected at most {most}, got {len(request.anchors)}")
+
+
+@router.get("/sessions", summary="List sessions", responses=described(SessionPage))
 async def list_sessions(
     here: ContextDep,
     who: CallerDep,
@@ -109,20 +123,58 @@ async def list_sessions(
     }
 
 
-@router.get("/sessions/{session_id}", summary="Read a session")
+@router.get(
+    "/sessions/{session_id}",
+    summary="Read a session",
+    operation_id="read_session",
+    responses=described(Session),
+)
 async def read(session: SessionDep, here: ContextDep) -> dict[str, Any]:
     """The session's configuration, and what it expects next."""
     return session_document(await here.run(here.store.session, session.id, session.key_id))
 
 
-@router.delete("/sessions/{session_id}", status_code=204, summary="Delete a session")
+@router.patch(
+    "/sessions/{session_id}",
+    summary="Rename a session, add anchors",
+    operation_id="change_session",
+    openapi_extra=json_content(SessionChange),
+    responses=described(Session),
+)
+async def change(request: Request, session: SessionDep, here: ContextDep) -> dict[str, Any]:
+    """Change a session's name; before epoch 0 also add anchors, and what is known of them."""
+    body = await request.body()
+    wanted = await here.parsed(session, body, ParseTask(SessionChange, body))
+    config = None
+    if not wanted.renames_only:
+        row = await here.run(here.store.session, session.id, session.key_id)
+        try:
+            changed = wanted.changed(json.loads(row.config))
+        except ValueError as error:
+            raise InputError(str(error)) from error
+        _check_anchors(changed, here)
+        engine_of(changed.config())
+        config = dump(changed.config())
+    await here.run(here.store.change, session.id, session.key_id, wanted.name, config)
+    return await read(session, here)
+
+
+@router.delete(
+    "/sessions/{session_id}", status_code=204, summary="Delete a session", operation_id="delete_session"
+)
 async def delete(session: SessionDep, here: ContextDep) -> None:
     """Delete a session with its measurements, its state and its estimates."""
     await here.run(here.store.delete, session.id, session.key_id)
     here.bell.ring(session.id)
 
 
-@router.post("/sessions/{session_id}/shares", status_code=201, summary="Share a session")
+@router.post(
+    "/sessions/{session_id}/shares",
+    status_code=201,
+    summary="Share a session",
+    operation_id="share_session",
+    responses={201: {"model": Share}},
+)
 async def share(
     session: SessionDep,
     here: ContextDep,
@@ -152,7 +204,12 @@ async def put_truth(request: Request, session: SessionDep, here: ContextDep) -> 
     await here.run(here.store.set_truth, session.id, session.key_id, truth)
 
 
-@router.get("/sessions/{session_id}/truth", summary="Read the truth", response_class=Response)
+@router.get(
+    "/sessions/{session_id}/truth",
+    summary="Read the truth",
+    response_class=Response,
+    responses=described(Truth),
+)
 async def get_truth(session: SessionDep, here: ContextDep) -> Response:
     """The truth that was given, null if none was."""
     return Response(await here.run(_truth, here, session) or "null", media_type="application/json")
@@ -166,6 +223,7 @@ def _truth(here: Context, session: SessionAccess) -> str | None:
 
 def session_document(row: Row[Any]) -> dict[str, Any]:
     """A session's row as the service shows it."""
+    config = json.loads(row.config)
     return {
         "id": row.id,
         "name": row.name,
@@ -174,8 +232,19 @@ def session_document(row: Row[Any]) -> dict[str, Any]:
         "next_sweep": row.next_sweep,
         "next_epoch": row.next_epoch,
         "time_s": row.time_s,
-        **json.loads(row.config),
+        "warnings": _warnings(row, config),
+        **config,
     }
+
+
+def _warnings(row: Row[Any], config: Mapping[str, Any]) -> list[str]:
+    """What will keep a session from giving estimates."""
+    if row.next_epoch > 0 or row.next_sweep > 0 or config.get("known_anchors_m") is not None:
+        return []
+    return [
+        "no walls sensed and no anchors known: post a sweep before epoch 0, or make the session with "
+        "known_anchors_m"
+    ]
 
 
 def _instant(value: datetime) -> str:

@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Response
 
 from service.api.context import Context, ContextDep, SessionAccess, SessionDep
+from service.api.openapi import described
+from service.messages.answers import Map, Smoothed, State, Track
 from service.session.reads import (
     ExportFormat,
     ExportRead,
@@ -36,7 +38,7 @@ _EXPORTS: dict[ExportFormat, tuple[str, str]] = {
 _JSON, _NETCDF = "application/json", "application/x-netcdf"
 
 
-@router.get("/state", summary="Estimates at an epoch", response_class=Response)
+@router.get("/state", summary="Estimates at an epoch", response_class=Response, responses=described(State))
 async def state(session: SessionDep, here: ContextDep, epoch: EpochQuery = None) -> Response:
     """Agent, anchors and walls with covariances, in the estimator's frame."""
 
@@ -48,7 +50,7 @@ async def state(session: SessionDep, here: ContextDep, epoch: EpochQuery = None)
     return Response(await here.run(look), media_type=_JSON)
 
 
-@router.get("/trajectory", summary="The agent's track", response_class=Response)
+@router.get("/trajectory", summary="The agent's track", response_class=Response, responses=described(Track))
 async def trajectory(
     session: SessionDep,
     here: ContextDep,
@@ -59,7 +61,12 @@ async def trajectory(
     return await _read(here, session, TrackRead(session.id, session.key_id, first, limit), _JSON)
 
 
-@router.get("/smoothed", summary="Track and map given all measurements", response_class=Response)
+@router.get(
+    "/smoothed",
+    summary="Track and map given all measurements",
+    response_class=Response,
+    responses=described(Smoothed),
+)
 async def smoothed(
     session: SessionDep,
     here: ContextDep,
@@ -74,7 +81,7 @@ async def smoothed(
     return await _read(here, session, task, _JSON)
 
 
-@router.get("/map", summary="The map", response_class=Response)
+@router.get("/map", summary="The map", response_class=Response, responses=described(Map))
 async def map_(
     session: SessionDep,
     here: ContextDep,

@@ -9,9 +9,11 @@ from fastapi import APIRouter, Query, Request, Response
 
 from estimator.errors import FileFormatError
 from service.api.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
+from service.api.openapi import described
 from service.api.routes.measurements import limits, take, take_walls
 from service.api.routes.sessions import OnceDep, create_session, read
 from service.errors import ConflictError, WorkerDiedError
+from service.messages.answers import EpochsAnswer, Session
 from service.messages.channels import ChannelsQuery
 from service.messages.session_requests import SessionRequest
 from service.session.example import ExampleTask
@@ -37,6 +39,7 @@ FILE = {
     "/sessions/{session_id}/channels",
     summary="Add raw channels",
     response_class=Response,
+    responses=described(EpochsAnswer),
     openapi_extra=FILE,
 )
 async def channels(
@@ -70,6 +73,7 @@ async def channels(
     "/sessions/{session_id}/datasets",
     summary="Add a dataset",
     response_class=Response,
+    responses=described(EpochsAnswer),
     openapi_extra=FILE,
 )
 async def datasets(request: Request, session: SessionDep, here: ContextDep) -> Response:
@@ -79,7 +83,13 @@ async def datasets(request: Request, session: SessionDep, here: ContextDep) -> R
     return await _take_all(here, session, await unpacked(here, session, task))
 
 
-@router.post("/uploads", status_code=201, summary="Make a session from a file", openapi_extra=FILE)
+@router.post(
+    "/uploads",
+    status_code=201,
+    summary="Make a session from a file",
+    openapi_extra=FILE,
+    responses={201: {"model": Session}},
+)
 async def uploads(
     request: Request,
     response: Response,

@@ -67,6 +67,9 @@ def test_a_key_opens_its_own_sessions_alone(
     assert client.get(url, headers=_as(ann)).status_code == 200
 
 
+_PARAMETERS = {"noise_variance": "1", "protocol": "nrppa", "epoch": "0"}  # those without a default
+
+
 def _requests_of_sessions(document: dict[str, Any], session: str) -> Iterator[dict[str, Any]]:
     """A valid request of each type of body for each operation on a session that the interface names."""
     schemas = document["components"]["schemas"]
@@ -75,7 +78,8 @@ def _requests_of_sessions(document: dict[str, Any], session: str) -> Iterator[di
             continue
         for method, operation in operations.items():
             contents = operation.get("requestBody", {}).get("content", {"": {}})
-            wanted = {"noise_variance"} & {entry["name"] for entry in operation.get("parameters", ())}
+            named = {entry["name"] for entry in operation.get("parameters", ())}
+            wanted = {name: value for name, value in _PARAMETERS.items() if name in named}
             for kind, content in contents.items():
                 request: dict[str, Any] = {"method": method, "url": path.replace("{session_id}", session)}
                 if kind == "application/json":
@@ -83,7 +87,7 @@ def _requests_of_sessions(document: dict[str, Any], session: str) -> Iterator[di
                     request["json"] = schema.get("examples", [{}])[0]
                 elif kind:
                     request |= {"content": b"rubbish", "headers": {"Content-Type": kind}}
-                    request["params"] = dict.fromkeys(wanted, 1)
+                    request["params"] = wanted
                 yield request
 
 

@@ -129,7 +129,7 @@ _JSON = "application/json"
         ("GET", "/nowhere", {}, b"", 404, "expected an address that /docs tells of, got GET /nowhere"),
         ("PATCH", "/v1/sessions", {}, b"", 405, "expected GET, POST, got PATCH /v1/sessions"),
         ("POST", "/v1/sessions", {"Content-Type": "text/plain"}, b"{}", 415, "got text/plain"),
-        ("POST", "/v1/sessions", {"Content-Type": _JSON, "Content-Encoding": "gzip"}, b"{}", 415, "got gzip"),
+        ("POST", "/v1/sessions", {"Content-Type": _JSON, "Content-Encoding": "br"}, b"{}", 415, "got br"),
         ("POST", "/v1/sessions", {"Content-Type": _JSON}, b'{"a" 1}', 422, "at character 5"),
         (
             "POST",

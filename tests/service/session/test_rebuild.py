@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from estimator.errors import ConfigurationError
 from estimator.result import SlamResult
 from estimator.slam import GaussianEngine
+from service.messages.session_requests import SessionRequest
+from service.session.fold import engine_of
 from service.session.state_cache import StateCache
 
 
@@ -49,3 +52,23 @@ def test_a_state_that_cannot_be_loaded_is_rebuilt_from_the_log(
     assert loaded[0] == loaded[1] == loaded[-1]
     track = client.get(f"{session_url}/trajectory").json()
     assert np.array_equal(track["x_m"], reference.agent_mean[:20, 0])
+
+
+@pytest.mark.parametrize(
+    ("engine", "name", "value"),
+    [
+        ("gaussian", "max_hypotheses", 10**9),
+        ("gaussian", "max_hypotheses", 12.5),
+        ("gaussian", "most_paths", 10**6),
+        ("particle", "particles", 10**9),
+    ],
+)
+def test_counts_of_a_noise_model_are_limited(
+    make_request: Callable[..., dict[str, Any]], engine: str, name: str, value: float
+) -> None:
+    """No session asks its engine for a billion of anything, whatever group the setting stands in."""
+    config = SessionRequest.model_validate(make_request(engine=engine)).config()
+    assert engine_of(config).name == engine
+    config["measurement_model"] = {**config["measurement_model"], name: value}
+    with pytest.raises(ConfigurationError, match=name):
+        engine_of(config)

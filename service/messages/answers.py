@@ -1,0 +1,225 @@
+"""What the service answers with, described: states, maps, tracks, sessions, jobs, problems.
+
+Answers are written as text by what computes them; these models describe that text in the interface's
+description, and generated clients read it with them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.messages.session_requests import SessionRequest, StartFrame
+
+__all__ = [
+    "EpochsAnswer",
+    "Map",
+    "Method",
+    "Problem",
+    "Session",
+    "SessionPage",
+    "Share",
+    "Smoothed",
+    "State",
+    "SweepAnswer",
+    "Track",
+]
+
+Pair = list[float]
+Matrix = list[list[float]]
+
+
+class Answer(BaseModel):
+    """Base: fields may be added."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+class AgentState(Answer):
+    """The agent, estimator's frame."""
+
+    position_m: Pair
+    velocity_m_s: Pair
+    covariance: Matrix = Field(description="4 x 4, of position and velocity, the map's rotation included.")
+
+
+class AnchorState(Answer):
+    """An anchor."""
+
+    name: str
+    located: bool
+    position_m: Pair | None
+    covariance_m2: Matrix | None
+    existence: float = Field(description="Probability that it stands there.")
+
+
+class WallState(Answer):
+    """A wall by its virtual reference point, the mirror image of the agent's start."""
+
+    id: int
+    vrp_m: Pair
+    covariance_m2: Matrix
+    existence: float
+
+
+class CandidateWall(Answer):
+    """A wall of a hypothesis."""
+
+    id: int
+    vrp_m: Pair
+
+
+class Candidate(Answer):
+    """One of the likeliest hypotheses."""
+
+    weight: float
+    position_m: Pair
+    walls: list[CandidateWall]
+
+
+class State(Answer):
+    """Agent, anchors and walls after an epoch."""
+
+    epoch: int
+    time_s: float
+    agent: AgentState
+    rotation_std_rad: float = Field(description="Standard deviation of the map's rotation about the start.")
+    anchors: list[AnchorState]
+    walls: list[WallState]
+    hypotheses: int
+    candidates: list[Candidate]
+    log_evidence: float
+
+
+class EpochsAnswer(Answer):
+    """What became of a request with epochs."""
+
+    first_epoch: int
+    last_epoch: int
+    state: State
+
+
+class SweepAnswer(Answer):
+    """What became of a sweep."""
+
+    sweep: int
+    walls: int
+
+
+class Method(Answer):
+    """What a session's method and engine may be."""
+
+    method: str
+    engine: str
+
+
+class Session(SessionRequest):
+    """A session: its configuration, and what it expects next."""
+
+    model_config = ConfigDict(extra="allow")
+
+    id: str
+    created_at: str
+    updated_at: str
+    next_sweep: int
+    next_epoch: int
+    time_s: float | None = Field(description="Of the last epoch.")
+    start_frame: StartFrame | None
+    warnings: list[str] = Field(default_factory=list, description="What will keep it from giving estimates.")
+
+
+class SessionPage(Answer):
+    """Sessions, the newest first."""
+
+    sessions: list[Session]
+    next: str | None = Field(description="`before` of the next page.")
+
+
+class Share(Answer):
+    """A key to one session that only reads and expires."""
+
+    key: str
+    expires_at: str
+    link: str
+
+
+class Track(Answer):
+    """The track as columns of equal length."""
+
+    epoch: list[int]
+    time_s: list[float]
+    x_m: list[float]
+    y_m: list[float]
+    variance_x_m2: list[float]
+    covariance_xy_m2: list[float]
+    variance_y_m2: list[float]
+    rotation_std_rad: list[float]
+    hypotheses: list[int] | None = None
+    walls: list[int] | None = None
+
+
+class MapWall(Answer):
+    """A wall as the segment on which reflections were seen."""
+
+    id: int
+    vrp_m: Pair
+    covariance_m2: Matrix
+    segment_m: Matrix
+    std_along_segment_m: list[float]
+
+
+class MapAgent(Answer):
+    """The agent in the map's frame."""
+
+    position_m: Pair
+    velocity_m_s: Pair
+    covariance_m2: Matrix
+
+
+class MapAnchor(Answer):
+    """An anchor in the map's frame."""
+
+    name: str
+    located: bool
+    position_m: Pair | None
+    covariance_m2: Matrix | None
+
+
+class Map(Answer):
+    """Walls, anchors, agent and track in one frame; other members in other formats."""
+
+    epoch: int | None = None
+    time_s: float | None = None
+    frame: Literal["estimator", "plan"] | None = None
+    agent: MapAgent | None = None
+    anchors: list[MapAnchor] | None = None
+    walls: list[MapWall] | None = None
+    track_m: Matrix | None = None
+
+
+class Smoothed(Answer):
+    """Track and map given all measurements."""
+
+    trajectory: Track
+    map: Map
+
+
+class Violation(Answer):
+    """Where a request is not what was expected."""
+
+    where: str
+    expected: str
+    got: str
+
+
+class Problem(Answer):
+    """Why a request was refused (RFC 9457)."""
+
+    type: str
+    title: str
+    status: int
+    detail: str = Field(description="What was expected, and what came.")
+    request_id: str
+    expected: dict[str, Any] | None = Field(None, description="Of a conflict: what comes next.")
+    errors: list[Violation] | None = None
