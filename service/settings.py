@@ -67,6 +67,8 @@ class Settings(BaseSettings):
         Largest size of an uploaded file once decompressed.
     max_smoothed_epochs : int
         Longest session that is smoothed.
+    max_jobs_per_key : int
+        Jobs of a key that are not done.
     max_sessions_per_key : int
         Sessions that one key may hold.
     request_timeout_s : float
@@ -108,6 +110,7 @@ class Settings(BaseSettings):
     max_walls: Count = 64
     max_unpacked_bytes: Count = 128 * 2**20
     max_sessions_per_key: Count = 10_000
+    max_jobs_per_key: Count = 16
     request_timeout_s: Seconds = 120.0
     drain_s: Seconds = 20.0
     lock_timeout_s: Seconds = 10.0

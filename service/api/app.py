@@ -11,6 +11,7 @@ from fastapi import Depends, FastAPI
 from service.api import problems
 from service.api.admission import Admission
 from service.api.context import Context
+from service.api.jobs import JobRunner
 from service.api.middleware import RequestMiddleware
 from service.api.openapi import Description, operation_id
 from service.api.parameters import known_parameters
@@ -18,6 +19,7 @@ from service.api.routes import (
     echoes,
     events,
     health,
+    jobs,
     measurements,
     pages,
     pdus,
@@ -59,9 +61,11 @@ def create_app(settings: Settings) -> FastAPI:
         with opened(settings.url, settings.lock_timeout_s) as engine:
             here.open(engine)
             here.workers.start()
+            runner = JobRunner(here)
             try:
                 yield
             finally:
+                await runner.stop()
                 here.workers.stop()
 
     app = FastAPI(
@@ -79,7 +83,19 @@ def create_app(settings: Settings) -> FastAPI:
     problems.install(app)
     app.add_middleware(Admission, here=here)
     app.add_middleware(RequestMiddleware, metrics=here.metrics, timeout_s=settings.request_timeout_s)
-    for module in (health, sessions, echoes, measurements, streams, pdus, uploads, state, events, pages):
+    for module in (
+        health,
+        sessions,
+        echoes,
+        measurements,
+        streams,
+        pdus,
+        uploads,
+        jobs,
+        state,
+        events,
+        pages,
+    ):
         app.include_router(module.router)
     app.openapi = Description(app)  # type: ignore[method-assign]
     return app

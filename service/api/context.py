@@ -25,6 +25,7 @@ from service.session.pace import Pace
 from service.session.tasks import Task, TaskContext
 from service.session.workers import Lane, Workers
 from service.settings import Settings
+from service.storage.jobs import JobStore
 from service.storage.store import Store, unknown_session
 
 __all__ = ["Bell", "CallerDep", "Context", "ContextDep", "SessionAccess", "SessionDep", "caller", "context"]
@@ -86,8 +87,8 @@ class Context:
         The operator's choices.
     metrics : Metrics
         Counters.
-    store, keys, workers
-        Database, API keys, worker processes; there once the application has started.
+    store, keys, jobs, workers
+        Database, API keys, jobs, worker processes; there once the application has started.
     bell : Bell
         Wakes event streams.
     pictures : PictureCache
@@ -106,6 +107,7 @@ class Context:
     metrics: Metrics
     store: Store = field(init=False)
     keys: KeyRing = field(init=False)
+    jobs: JobStore = field(init=False)
     workers: Workers = field(init=False)
     bell: Bell = field(default_factory=Bell)
     pictures: PictureCache = field(default_factory=PictureCache)
@@ -122,6 +124,7 @@ class Context:
     def open(self, engine: Engine) -> None:
         """Begin with a database."""
         self.store, self.keys = Store(engine), KeyRing(engine)
+        self.jobs = JobStore(self.store)
         self.workers = Workers(self.settings, self.store)
         self._loop = asyncio.get_running_loop()
         self.streams = Streams(self.settings.max_streams_per_key)

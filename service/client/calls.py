@@ -83,13 +83,13 @@ class Client:
     def create_session(self, request: Mapping[str, Any]) -> str:
         """Make a session; its id. ``request`` as ``POST /v1/sessions`` takes it."""
         once = {"Idempotency-Key": secrets.token_hex(16)}  # so that a repeated call makes no second session
-        return str(self._call("POST", "/v1/sessions", json=dict(request), headers=once)["id"])
+        return str(self.request("POST", "/v1/sessions", json=dict(request), headers=once)["id"])
 
     def sessions(self) -> Iterator[dict[str, Any]]:
         """All sessions of the key, the newest first."""
         before: str | None = None
         while True:
-            page = self._call("GET", "/v1/sessions", params=_given(before=before, limit=100))
+            page = self.request("GET", "/v1/sessions", params=_given(before=before, limit=100))
             yield from page["sessions"]
             before = page["next"]
             if before is None:
@@ -97,41 +97,41 @@ class Client:
 
     def session(self, session: str) -> dict[str, Any]:
         """A session: its configuration, and what it expects next."""
-        return self._call("GET", f"/v1/sessions/{session}")
+        return self.request("GET", f"/v1/sessions/{session}")
 
     def delete_session(self, session: str) -> None:
         """Remove a session with everything of it."""
-        self._call("DELETE", f"/v1/sessions/{session}")
+        self.request("DELETE", f"/v1/sessions/{session}")
 
     def post_sweep(self, session: str, sweep: Mapping[str, Any]) -> None:
         """Add a sweep: ``{"sweep": 0, "walls": [...]}`` or with ``flashes``."""
-        self._call("POST", f"/v1/sessions/{session}/sweeps", json=dict(sweep))
+        self.request("POST", f"/v1/sessions/{session}/sweeps", json=dict(sweep))
 
     def post_epochs(self, session: str, epochs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Add consecutive epochs; the state after the last."""
-        answer = self._call("POST", f"/v1/sessions/{session}/epochs", json={"epochs": list(epochs)})
+        answer = self.request("POST", f"/v1/sessions/{session}/epochs", json={"epochs": list(epochs)})
         state: dict[str, Any] = answer["state"]
         return state
 
     def put_truth(self, session: str, truth: Mapping[str, Any]) -> None:
         """Give the truth, for the page to show beside."""
-        self._call("PUT", f"/v1/sessions/{session}/truth", json=dict(truth))
+        self.request("PUT", f"/v1/sessions/{session}/truth", json=dict(truth))
 
     def state(self, session: str, epoch: int | None = None) -> dict[str, Any]:
         """The estimates at an epoch, by default the latest."""
-        return self._call("GET", f"/v1/sessions/{session}/state", params=_given(epoch=epoch))
+        return self.request("GET", f"/v1/sessions/{session}/state", params=_given(epoch=epoch))
 
     def trajectory(self, session: str, first: int = 0) -> dict[str, list[Any]]:
         """The track as columns."""
-        return self._call("GET", f"/v1/sessions/{session}/trajectory", params={"first": first})
+        return self.request("GET", f"/v1/sessions/{session}/trajectory", params={"first": first})
 
     def map(self, session: str, epoch: int | None = None) -> dict[str, Any]:
         """Walls, anchors, agent and track."""
-        return self._call("GET", f"/v1/sessions/{session}/map", params=_given(epoch=epoch))
+        return self.request("GET", f"/v1/sessions/{session}/map", params=_given(epoch=epoch))
 
     def smoothed(self, session: str, lag: int = 0) -> dict[str, Any]:
         """Track and map given all measurements so far; ``lag`` epochs ahead if not 0."""
-        return self._call("GET", f"/v1/sessions/{session}/smoothed", params={"lag": lag})
+        return self.request("GET", f"/v1/sessions/{session}/smoothed", params={"lag": lag})
 
     def export(self, session: str) -> bytes:
         """All estimates as a result file (netCDF)."""
@@ -159,7 +159,8 @@ class Client:
                     raise ServiceUnavailableError(f"{self._url}: {error}") from error
                 self._pause(failures, None)
 
-    def _call(self, method: str, path: str, **content: Any) -> dict[str, Any]:
+    def request(self, method: str, path: str, **content: Any) -> dict[str, Any]:
+        """The answer to a call of the interface as JSON; it is repeated like all others."""
         answer = self._send(method, path, **content)
         found: dict[str, Any] = answer.json() if answer.content else {}
         return found

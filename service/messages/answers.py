@@ -14,6 +14,8 @@ from service.messages.session_requests import SessionRequest, StartFrame
 
 __all__ = [
     "EpochsAnswer",
+    "Job",
+    "JobList",
     "Map",
     "Method",
     "Problem",
@@ -223,3 +225,22 @@ class Problem(Answer):
     request_id: str
     expected: dict[str, Any] | None = Field(None, description="Of a conflict: what comes next.")
     errors: list[Violation] | None = None
+
+
+class Job(Answer):
+    """A file that was answered for at once, and what became of it."""
+
+    id: str
+    kind: Literal["upload", "dataset", "channels"]
+    state: Literal["queued", "running", "done", "failed"]
+    created_at: str
+    updated_at: str
+    session: str | None = Field(description="The session that it is for, or that was made.")
+    last_epoch: int | None
+    problem: Problem | None
+
+
+class JobList(Answer):
+    """Jobs, the newest first."""
+
+    jobs: list[Job]

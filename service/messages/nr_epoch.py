@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -17,6 +17,8 @@ from service.messages.nrppa import NrppaReport
 from service.messages.terms import SessionTerms
 
 __all__ = ["NrEpoch"]
+
+_ARRIVALS = {"rtoa", "rstd"}  # times of arrival by one clock, not of flight
 
 
 class NrEpoch(Request):
@@ -60,9 +62,7 @@ class NrEpoch(Request):
                 if known is not None and set(known.first) & set(report.first):
                     raise InputError(f"epoch {self.epoch}: expected each TRP once, got {given} a second time")
                 heard[place] = report if known is None else known.joined(report)
-        bias = terms.pseudorange_bias_s(
-            [report.first["rstd"].seconds for report in heard.values() if "rstd" in report.first]
-        )
+        bias = self._bias_s(terms, heard.values())
         paths = []
         for place, name in enumerate(terms.anchors):
             if place not in heard:
@@ -78,6 +78,20 @@ class NrEpoch(Request):
         assert time_s is not None
         return Epoch(self.epoch, time_s, tuple(paths), (), self.heading_held)
 
+    def _bias_s(self, terms: SessionTerms, reports: Iterable[TrpReport]) -> float | None:
+        """What the times of arrival of the epoch lack to be times of flight but for a free clock, seconds."""
+        arrivals = [
+            (kind, report.first[kind].seconds)
+            for report in reports
+            for kind in _ARRIVALS & report.first.keys()
+        ]
+        if terms.free_clock and len({kind for kind, _ in arrivals}) > 1:
+            raise InputError(
+                f"epoch {self.epoch}: expected times of arrival of one kind, UL-RTOA or RSTD, for each has a "
+                "clock of its own; got both"
+            )
+        return terms.pseudorange_bias_s([seconds for _, seconds in arrivals])
+
     def _place(self, given: int, ids: Sequence[int], lpp: bool) -> int:
         if given not in ids:
             what, where = ("dl-PRS-ID-r16", "dl_prs_ids") if lpp else ("tRP-ID", "trp_ids")
@@ -90,14 +104,16 @@ def _flight(first: Mapping[str, FirstPath], bias_s: float | None) -> FirstPath:
     """Time of flight from what was measured of the first path; raises InputError."""
     if "ue-rx-tx" in first and "gnb-rx-tx" in first:
         return first["ue-rx-tx"].half_sum(first["gnb-rx-tx"])
+    if bias_s is not None and (arrivals := _ARRIVALS & first.keys()):
+        (kind,) = arrivals
+        return FirstPath(first[kind].seconds + bias_s, first[kind].std_s)
     if "rtoa" in first:
         return first["rtoa"]
     if "rstd" in first:
-        if bias_s is None:
-            raise InputError(
-                "expected a time of flight, got a time difference of arrival (RSTD), which tells none: send "
-                "Multi-RTT of both ends, or UL-RTOA that counts from the time of transmission"
-            )
-        return FirstPath(first["rstd"].seconds + bias_s, first["rstd"].std_s)
+        raise InputError(
+            "expected a time of flight, got a time difference of arrival (RSTD), which tells none: make the "
+            'session with "nr": {"clock": "free"}, or send Multi-RTT of both ends, or UL-RTOA that counts '
+            "from the time of transmission"
+        )
     one, other = ("gNB", "NRPPa") if "ue-rx-tx" in first else ("handset's", "LPP")
     raise InputError(f"expected the Rx-Tx time differences of both ends, the {one} one ({other}) is missing")

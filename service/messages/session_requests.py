@@ -32,9 +32,16 @@ class NrTerms(Request):
     eirp_dbm: Annotated[list[Finite], Field(max_length=1000)] | None = Field(
         None, description="Radiated powers, with which RSRPP becomes channel gains."
     )
-    clock: Literal["synchronised"] = Field(
+    clock: Literal["synchronised", "free"] = Field(
         "synchronised",
-        description="UL-RTOA counts from the time of transmission: a time of flight.",
+        description="`synchronised`: UL-RTOA counts from the time of transmission: a time of flight. "
+        "`free`: times of arrival have an error common to all TRPs that is new in every epoch, as time "
+        "differences (RSTD) do.",
+    )
+    clock_std_m: Positive = Field(
+        30.0,
+        description="Standard deviation of a free clock's error as a length, metres: how far the nearest "
+        "TRP may be from the 10 m that it is first taken to be away.",
     )
 
     @model_validator(mode="after")

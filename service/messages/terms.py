@@ -51,11 +51,11 @@ class SessionTerms:
         """Radiated power of an anchor, dBm."""
         return self.eirp_dbm[place] if self.eirp_dbm else None
 
-    def pseudorange_bias_s(self, differences_s: Sequence[float]) -> float | None:
-        """What makes time differences of an epoch times of flight, but for the clock's error, seconds.
+    def pseudorange_bias_s(self, arrivals_s: Sequence[float]) -> float | None:
+        """What makes times of arrival of an epoch times of flight, but for the clock's error, seconds.
 
-        None where the clocks are taken to agree, so that a difference tells no time of flight.
+        None where the clocks are taken to agree.
         """
-        if not self.free_clock or not differences_s:
+        if not self.free_clock or not arrivals_s:
             return None
-        return _NEAREST_M / SPEED_OF_LIGHT_M_S - min(differences_s)
+        return _NEAREST_M / SPEED_OF_LIGHT_M_S - min(arrivals_s)

@@ -96,12 +96,15 @@ def digest(snapshot: bytes) -> bytes:
 def measurement_set(config: Mapping[str, Any], walls: Sequence[GaussianVrp] = ()) -> MeasurementSet:
     """A session's configuration and walls in the estimator's terms, without epochs."""
     known = config.get("known_anchors_m")
+    model, nr = dict(config["measurement_model"]), config.get("nr") or {}
+    if nr.get("clock") == "free":
+        model.setdefault("clock_free_std_m", nr["clock_std_m"])
     return MeasurementSet(
         anchors=tuple(config["anchors"]),
         walls=tuple(walls),
         epochs=(),
         carrier_hz=config["carrier_hz"],
-        settings={"measurement_model": config["measurement_model"]},
+        settings={"measurement_model": model},
         known_anchors_m=None if known is None else np.array(known),
         max_speed_m_s=config.get("max_speed_m_s"),
         echo_bias_std_m=config.get("echo_bias_std_m"),

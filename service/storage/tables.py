@@ -10,7 +10,18 @@ from __future__ import annotations
 
 import sqlalchemy as sa
 
-__all__ = ["api_keys", "estimates", "measurements", "metadata", "sessions", "shares", "snapshots", "truths"]
+__all__ = [
+    "api_keys",
+    "estimates",
+    "job_parts",
+    "jobs",
+    "measurements",
+    "metadata",
+    "sessions",
+    "shares",
+    "snapshots",
+    "truths",
+]
 
 metadata = sa.MetaData(
     naming_convention={
@@ -111,4 +122,27 @@ shares = sa.Table(
     ),
     sa.Column("secret_sha256", sa.LargeBinary(32), nullable=False),
     sa.Column("expires_at", sa.DateTime(timezone=True), nullable=False),
+)
+
+jobs = sa.Table(
+    "jobs",
+    metadata,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("key_id", sa.String(16), sa.ForeignKey("api_keys.id"), index=True),
+    sa.Column("kind", sa.String(16), nullable=False),
+    sa.Column("parameters", sa.Text, nullable=False),
+    sa.Column("state", sa.String(8), nullable=False, index=True),  # coming, queued, running, done, failed
+    sa.Column("answer", sa.Text),
+    sa.Column("created_at", sa.DateTime(timezone=True), nullable=False),
+    sa.Column("updated_at", sa.DateTime(timezone=True), nullable=False),
+    sa.Column("leased_until", sa.DateTime(timezone=True)),  # a running job is another's afterwards
+    sa.Column("attempts", sa.Integer, nullable=False),
+)
+
+job_parts = sa.Table(  # of its file, so that no transaction is long
+    "job_parts",
+    metadata,
+    sa.Column("job_id", sa.String(32), sa.ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    sa.Column("number", sa.Integer, primary_key=True, autoincrement=False),
+    sa.Column("content", sa.LargeBinary, nullable=False),
 )

@@ -11,8 +11,8 @@ from starlette.routing import Match
 
 from estimator.arrays import BeamSet
 from service.api.context import ContextDep, SessionDep
+from service.api.files_in import unpacked
 from service.api.routes.measurements import take_walls
-from service.api.routes.uploads import unpacked
 from service.session.beam_sweeps import EchoModel, EchoTask
 
 __all__ = ["router"]

@@ -22,7 +22,7 @@ from service.session.fold import NotPromptError
 from service.session.sessions import Taken, take_epochs, take_sweep
 from service.session.workers import AnyWorker, Lane
 
-__all__ = ["limits", "router", "take", "take_walls", "taken_in"]
+__all__ = ["answered", "limits", "router", "take", "take_walls", "taken_in"]
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["measurements"])
 
@@ -116,7 +116,11 @@ def limits(here: Context) -> EpochLimits:
 
 async def take(here: Context, session: SessionAccess, entries: Sequence[EpochEntry]) -> Response:
     """Take in epochs; the answer to them."""
-    taken, state = await taken_in(here, session, entries)
+    return answered(*await taken_in(here, session, entries))
+
+
+def answered(taken: Taken, state: str) -> Response:
+    """The answer to epochs that were taken in."""
     body = f'{{"first_epoch":{taken.first},"last_epoch":{taken.last},"state":{state}}}'
     return Response(body, media_type="application/json", headers={"X-New-Entries": str(taken.new)})
 

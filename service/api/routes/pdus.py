@@ -7,9 +7,10 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 
 from service.api.context import ContextDep, SessionDep
+from service.api.files_in import unpacked
 from service.api.openapi import described
 from service.api.routes.measurements import limits, take
-from service.api.routes.uploads import FILE, unpacked
+from service.api.routes.uploads import FILE
 from service.messages.answers import EpochsAnswer
 from service.messages.asn1 import Protocol
 from service.session.pdus import PduTask

@@ -13,7 +13,6 @@ from sqlalchemy import Row
 
 from estimator.errors import InputError
 from estimator.slam.methods import PAIRS
-from service.api.auth import Caller
 from service.api.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
 from service.api.openapi import described
 from service.errors import TooLargeError, TooManyError
@@ -25,7 +24,7 @@ from service.session.bodies import ParseTask, TruthTask, json_content
 from service.session.fold import engine_of
 from service.session.sessions import new_session_id
 
-__all__ = ["OnceDep", "create_session", "read", "router", "session_document"]
+__all__ = ["Once", "OnceDep", "create_session", "read", "router", "session_document"]
 
 router = APIRouter(prefix="/v1", tags=["sessions"])
 Once = tuple[str, bytes] | None
@@ -70,15 +69,15 @@ async def create(
     """
     body, nowhere = await request.body(), SessionAccess("", who.key_id)
     wanted = await here.parsed(nowhere, body, ParseTask(SessionRequest, body))
-    session, _ = await create_session(wanted, here, who, once)
+    session, _ = await create_session(wanted, here, who.key_id, once)
     response.headers["Location"] = f"/v1/sessions/{session.id}"
     return await read(session, here)
 
 
 async def create_session(
-    request: SessionRequest, here: Context, who: Caller, once: Once = None
+    request: SessionRequest, here: Context, key_id: str | None, once: Once = None
 ) -> tuple[SessionAccess, bool]:
-    """Make a session for a caller, within the limits, or find the one that the request made before.
+    """Make a session of a key, within the limits, or find the one that the request made before.
 
     Returns
     -------
@@ -91,10 +90,10 @@ async def create_session(
     config = request.config()
     engine_of(config)
     limit, new = here.settings.max_sessions_per_key, new_session_id()
-    made = await here.run(here.store.create, new, who.key_id, request.name, dump(config), limit, once)
+    made = await here.run(here.store.create, new, key_id, request.name, dump(config), limit, once)
     if made is None:
         raise TooManyError(f"expected at most {limit} sessions of a key; delete some")
-    return SessionAccess(made, who.key_id), made == new
+    return SessionAccess(made, key_id), made == new
 
 
 def _check_anchors(request: SessionRequest, here: Context) -> None:

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import json
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from fastapi.responses import JSONResponse
 
-from estimator.errors import FileFormatError
 from service.api.context import CallerDep, Context, ContextDep, SessionAccess, SessionDep
+from service.api.files_in import take_channels, take_dataset, take_upload
+from service.api.jobs import JobKind, submit_job
 from service.api.openapi import described
-from service.api.routes.measurements import limits, take, take_walls
-from service.api.routes.sessions import OnceDep, create_session, read
-from service.errors import ConflictError, WorkerDiedError
-from service.messages.answers import EpochsAnswer, Session
+from service.api.routes.measurements import answered
+from service.api.routes.sessions import Once, OnceDep, read
+from service.messages.answers import EpochsAnswer, Job, Session
 from service.messages.channels import ChannelsQuery
-from service.messages.session_requests import SessionRequest
 from service.session.example import ExampleTask
-from service.session.files import FileTask, Unpacked
-from service.session.raw_channels import ChannelsTask
-from service.session.tasks import Task
 from service.session.workers import Lane
 
-__all__ = ["FILE", "router", "unpacked"]
+__all__ = ["FILE", "router"]
 
-T = TypeVar("T")
 router = APIRouter(prefix="/v1", tags=["files"])
 
 FILE = {
@@ -35,11 +30,32 @@ FILE = {
 }
 
 
+_ASYNC = "respond-async"
+_ACCEPTED: dict[int | str, Any] = {
+    202: {"model": Job, "description": "Kept as a job, to be read at `Location` (`Prefer: respond-async`)"}
+}
+
+
+async def _later(
+    prefer: Annotated[
+        str | None,
+        Header(
+            max_length=200, description="`respond-async`: the file is kept as a job, and answered at once."
+        ),
+    ] = None,
+) -> bool:
+    """Whether the client would rather not wait (RFC 7240)."""
+    return prefer is not None and _ASYNC in {part.strip().lower() for part in prefer.split(",")}
+
+
+LaterDep = Annotated[bool, Depends(_later)]
+
+
 @router.post(
     "/sessions/{session_id}/channels",
     summary="Add raw channels",
     response_class=Response,
-    responses=described(EpochsAnswer),
+    responses={**described(EpochsAnswer), **_ACCEPTED},
     openapi_extra=FILE,
 )
 async def channels(
@@ -47,6 +63,8 @@ async def channels(
     session: SessionDep,
     here: ContextDep,
     radio: Annotated[ChannelsQuery, Query()],
+    once: OnceDep,
+    later: LaterDep,
 ) -> Response:
     """Channel frequency responses as netCDF or npz; their paths are estimated and taken in as epochs.
 
@@ -55,32 +73,28 @@ async def channels(
     snapshots are used together. `elements` says that the agent's antennas are an array; if that array tells
     all azimuths apart (`lying`), directions of arrival are measured too.
     """
-    config = json.loads((await here.run(here.store.session, session.id, session.key_id)).config)
-    task = ChannelsTask(
-        await request.body(),
-        tuple(config["anchors"]),
-        config["carrier_hz"],
-        radio.noise_variance,
-        radio.array(),
-        radio.orientation == "fixed",
-        here.settings.max_unpacked_bytes,
-        limits(here),
-    )
-    return await take(here, session, await unpacked(here, session, task))
+    if later:
+        await here.run(here.store.session, session.id, session.key_id)
+        parameters = {"session": session.id, "radio": radio.model_dump()}
+        return await _accepted(request, here, session.key_id, "channels", parameters, once)
+    return answered(*await take_channels(here, session, await request.body(), radio))
 
 
 @router.post(
     "/sessions/{session_id}/datasets",
     summary="Add a dataset",
     response_class=Response,
-    responses=described(EpochsAnswer),
+    responses={**described(EpochsAnswer), **_ACCEPTED},
     openapi_extra=FILE,
 )
-async def datasets(request: Request, session: SessionDep, here: ContextDep) -> Response:
+async def datasets(
+    request: Request, session: SessionDep, here: ContextDep, once: OnceDep, later: LaterDep
+) -> Response:
     """A zipped dataset of `hapslam trace` (its channels are estimated), or a measurement file."""
-    await here.run(here.store.session, session.id, session.key_id)
-    task = FileTask(await request.body(), here.settings.max_unpacked_bytes, limits(here))
-    return await _take_all(here, session, await unpacked(here, session, task))
+    if later:
+        await here.run(here.store.session, session.id, session.key_id)
+        return await _accepted(request, here, session.key_id, "dataset", {"session": session.id}, once)
+    return answered(*await take_dataset(here, session, await request.body()))
 
 
 @router.post(
@@ -88,40 +102,44 @@ async def datasets(request: Request, session: SessionDep, here: ContextDep) -> R
     status_code=201,
     summary="Make a session from a file",
     openapi_extra=FILE,
-    responses={201: {"model": Session}},
+    responses={201: {"model": Session}, **_ACCEPTED},
+    response_class=Response,
 )
 async def uploads(
     request: Request,
-    response: Response,
     here: ContextDep,
     who: CallerDep,
     once: OnceDep,
+    later: LaterDep,
     name: Annotated[str, Query(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = "",
     method: Annotated[str, Query(max_length=50)] = "hybrid",
     engine: Annotated[str, Query(max_length=50)] = "gaussian",
     seed: Annotated[int, Query(ge=0, le=2**63 - 1)] = 1,
-) -> dict[str, Any]:
+) -> Response:
     """A measurement file, or a zipped dataset: a session is made for it and takes all of it in.
 
     With an `Idempotency-Key` the same request again makes no other session.
     """
-    task = FileTask(await request.body(), here.settings.max_unpacked_bytes, limits(here))
-    found = await unpacked(here, SessionAccess("", who.key_id), task)
-    entry = {**found.session, "name": name, "method": method, "engine": engine, "seed": seed}
-    try:
-        wanted = SessionRequest.model_validate(entry)
-    except ValueError as error:
-        raise FileFormatError(f"file: expected measurements that make a session: {error}") from error
-    session, new = await create_session(wanted, here, who, once)
-    response.headers["Location"] = f"/v1/sessions/{session.id}"
-    try:
-        if found.epochs:
-            await _take_all(here, session, found)
-    except Exception:
-        if new:
-            await here.run(here.store.delete, session.id, session.key_id)
-        raise
-    return await read(session, here)
+    stated = {"name": name, "method": method, "engine": engine, "seed": seed}
+    if later:
+        return await _accepted(request, here, who.key_id, "upload", stated, once)
+    session = await take_upload(here, who.key_id, await request.body(), stated, once)
+    headers = {"Location": f"/v1/sessions/{session.id}"}
+    return JSONResponse(await read(session, here), 201, headers)
+
+
+async def _accepted(
+    request: Request,
+    here: Context,
+    key_id: str | None,
+    kind: JobKind,
+    parameters: dict[str, Any],
+    once: Once,
+) -> Response:
+    """The answer to a file that is kept as a job."""
+    job = await submit_job(here, key_id, kind, parameters, await request.body(), once)
+    headers = {"Location": f"/v1/jobs/{job['id']}", "Preference-Applied": _ASYNC, "Retry-After": "1"}
+    return JSONResponse(job, 202, headers)
 
 
 @router.get("/example", summary="The shipped example", response_class=Response)
@@ -133,28 +151,3 @@ async def shipped_example(
         await here.work(Lane.BULK, SessionAccess("", who.key_id), ExampleTask(seed)),
         media_type="application/json",
     )
-
-
-async def unpacked(here: Context, session: SessionAccess, task: Task[T]) -> T:
-    """What a file holds, read by a worker."""
-    try:
-        return await here.work(Lane.BULK, session, task)
-    except WorkerDiedError as error:
-        raise FileFormatError("file: expected one that can be read, its reader crashed over it") from error
-
-
-async def _take_all(here: Context, session: SessionAccess, found: Unpacked) -> Response:
-    """Take a file's walls and epochs into a session whose anchors they name."""
-    row = await here.run(here.store.session, session.id, session.key_id)
-    config = json.loads(row.config)
-    for what in ("anchors", "carrier_hz"):
-        if config[what] != found.session[what]:
-            raise ConflictError(
-                f"{what}: expected those of the session, {config[what]}, got {found.session[what]}"
-            )
-    if not found.epochs:
-        raise FileFormatError("file: expected at least one epoch, got none")
-    await take_walls(here, session, 0, list(found.walls), Response())
-    if found.truth is not None:
-        await here.run(here.store.set_truth, session.id, session.key_id, found.truth)
-    return await take(here, session, found.epochs)

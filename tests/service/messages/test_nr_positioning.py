@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from estimator.errors import FileFormatError, InputError
 from estimator.measurements import Epoch
+from estimator.waveform import SPEED_OF_LIGHT_M_S
 from service.messages.asn1 import decoded
 from service.messages.lpp import LppReport
 from service.messages.nr_epoch import NrEpoch
@@ -223,11 +225,29 @@ def test_time_differences_and_beam_powers_are_refused_with_a_reason() -> None:
     element = lpp_element(3, "nr-RSTD-r16", 1e-8, [], 0.0)
     tdoa = {"dl-PRS-ReferenceInfo-r16": {"dl-PRS-ID-r16": 4}, "nr-DL-TDOA-MeasList-r16": [element]}
     lpp = {"nr-DL-TDOA-SignalMeasurementInformation-r16": tdoa}
-    with pytest.raises(InputError, match=r"\(RSTD\), which tells none: send Multi-RTT"):
+    with pytest.raises(InputError, match=r"\(RSTD\), which tells none: make the session with"):
         NrEpoch.model_validate({"epoch": 0, "lpp": lpp}).estimator_epoch(TERMS)
     beams = {"nr-DL-AoD-SignalMeasurementInformation-r16": {"nr-DL-AoD-MeasList-r16": []}}
     with pytest.raises(ValueError, match=r"got only powers of beams \(DL-AoD\)"):
         NrEpoch.model_validate({"epoch": 0, "lpp": beams})
+
+
+def test_time_differences_are_pseudo_ranges_where_the_clock_is_free() -> None:
+    """Differences stay what they are, the reference TRP has one, and both kinds do not go together."""
+    free = replace(TERMS, free_clock=True)
+    element = lpp_element(3, "nr-RSTD-r16", -7e-8, [4e-8], 0.0)
+    tdoa = {"dl-PRS-ReferenceInfo-r16": {"dl-PRS-ID-r16": 4}, "nr-DL-TDOA-MeasList-r16": [element]}
+    given = {"epoch": 0, "lpp": {"nr-DL-TDOA-SignalMeasurementInformation-r16": tdoa}}
+    one, other = NrEpoch.model_validate(given).estimator_epoch(free).paths
+    step = 2.0**-3 / TC_INVERSE_HZ
+    assert one.delay_s[0] > 0.0
+    assert one.delay_s[0] - other.delay_s[0] == pytest.approx(-7e-8, abs=step)
+    assert one.delay_s[1] - one.delay_s[0] == pytest.approx(4e-8, abs=step)
+    later = {"TRP-MeasurementResponseList": [rtoa_item(8, 3.0e-7, [], 0.0)]}
+    with pytest.raises(InputError, match="of one kind"):
+        NrEpoch.model_validate({**given, "nrppa": later}).estimator_epoch(free)
+    heard = NrEpoch.model_validate({"epoch": 0, "nrppa": later}).estimator_epoch(free).paths[1]
+    assert heard.delay_s[0] == pytest.approx(10.0 / SPEED_OF_LIGHT_M_S)
 
 
 def test_broken_messages_are_refused() -> None:
