@@ -63,6 +63,33 @@ class AnchorSearchConfig(Settings):
         The least and the largest of these, metres; the others are spaced geometrically.
     height_scale_m : float
         Mean of the exponential prior of the height, metres: antennas on ceilings and walls.
+    survey_track : int
+        Places of the whole track whose paths are kept for surveys (:mod:`estimator.slam.anchors.survey`): where
+        there are more, every other one is dropped.
+    survey_step_m : float
+        These are this far apart at least, metres.
+    survey_epochs : int
+        Places of one survey, spread evenly over those that heard the anchor.
+    survey_track_std_m : float
+        Anchors are surveyed while the agent's standard deviation is below this, metres.
+    survey_least : int
+        Places at which an anchor must have been heard.
+    survey_stride, survey_recheck_stride : int
+        Epochs between surveys of an anchor that is not located, and of one that is.
+    survey_points, survey_spacing_m : int, float
+        Points of the grid at most, and metres between them at least.
+    survey_grid_epochs, survey_seeds : int
+        Epochs that weigh the grid, and places that are refined.
+    survey_share_los, survey_share_wall, survey_share_pair : float
+        Shares of the paths that are lines of sight, and come over one and over two known walls; the rest is
+        clutter.
+    survey_nats : float
+        Log evidence by which a place must beat all others, and none at all.
+    survey_apart_m : float
+        Places farther apart than this are different, metres.
+    survey_start_std_m : float
+        Standard deviation with which a surveyed place enters the joint Gaussian, metres: what its paths told
+        of the track is known there already.
     search_gate_sigma : float
         Standard deviations within which a path may explain a circle.
     search_visibility_los, search_visibility_wall, search_visibility_pair : float
@@ -139,6 +166,23 @@ class AnchorSearchConfig(Settings):
     height_min_m: float = positive(0.5)
     height_max_m: float = positive(6.5)
     height_scale_m: float = positive(2.5)
+    survey_track: int = positive(120)
+    survey_step_m: float = positive(0.4)
+    survey_epochs: int = positive(40)
+    survey_track_std_m: float = positive(0.25)
+    survey_least: int = positive(12)
+    survey_stride: int = positive(4)
+    survey_recheck_stride: int = positive(16)
+    survey_points: int = positive(1600)
+    survey_spacing_m: float = positive(0.4)
+    survey_grid_epochs: int = positive(16)
+    survey_seeds: int = positive(16)
+    survey_share_los: float = probability(0.3)
+    survey_share_wall: float = probability(0.4)
+    survey_share_pair: float = probability(0.15)
+    survey_nats: float = positive(20.0)
+    survey_apart_m: float = positive(0.3)
+    survey_start_std_m: float = positive(0.3)
     search_gate_sigma: float = positive(4.0)
     search_visibility_los: float = probability(0.9)
     search_visibility_wall: float = probability(0.6)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.models.path_buffer import PathBuffer
 
-__all__ = ["NoiseModel", "Observations", "gathered", "observations_of"]
+__all__ = ["NoiseModel", "Observations", "direct_ratio", "gathered", "observations_of"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -123,7 +123,7 @@ def observations_of(
             parts.append((heard.length_m[old], heard.std_m[old], heard.excess_loss_db[old]))
     epochs = []
     for lengths, std, loss in reversed(parts):
-        ratio = _direct_ratio(loss - gain_offset_db, config)
+        ratio = direct_ratio(loss - gain_offset_db, config)
         epochs.append((lengths, np.maximum(std, noise.range_std_m) ** 2, ratio))
     return gathered(np.array(positions[::-1]), np.array(variances[::-1]), epochs)
 
@@ -145,7 +145,7 @@ def gathered(
     return Observations(position_m, variance_m2, count, length, variance, ratio, first, _BUCKETS / longest)
 
 
-def _direct_ratio(loss_db: Array, config: AnchorSearchConfig) -> Array:
+def direct_ratio(loss_db: Array, config: AnchorSearchConfig) -> Array:
     """Likelihood ratios of losses beyond free space: a line of sight's against any path's."""
     std = config.los_loss_std_db
     density = np.exp(-0.5 * (loss_db / std) ** 2) / (np.sqrt(2.0 * np.pi) * std)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import InputError
 from estimator.measurements import AnchorPaths, Epoch
+from estimator.slam.gaussian.anchor_survey import is_track_known, survey_anchors, surveyed_paths
 from estimator.slam.gaussian.anchors import initialise_anchors
 from estimator.slam.gaussian.births.virtual_anchors import bear_virtual_anchors, shorter_than_sight
 from estimator.slam.gaussian.births.walls import bear_wall
@@ -91,7 +92,7 @@ def step(
     if epoch.sweep and state.shared:
         state = _sweep(state, epoch, config, phase)
     state, explained = _update(state, paths, config)
-    state = initialise_anchors(state, paths, config, phase)
+    state = _locate(state, paths, config, phase)
     state = _remember(state, paths, explained, config)
     state = _bear(state, config, phase)
     reduced = reduce_mixture(state.hypotheses, config.reduce_model(phase, state.layout))
@@ -200,6 +201,16 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
         state.but(hypotheses=after, slots=slots, log_evidence=state.log_evidence + evidence),
         done.explained[best],
     )
+
+
+def _locate(state: GaussianState, paths: EpochPaths, config: GaussianConfig, phase: Phase) -> GaussianState:
+    """Locate anchors: surveyed where the track is known without them, or else searched at once."""
+    if not state.shared:
+        return initialise_anchors(state, paths, config, phase)
+    state = state.but(surveyed=surveyed_paths(state, paths, config.anchors))
+    if is_track_known(state, config.anchors):
+        return survey_anchors(state, config, phase.anchors)
+    return initialise_anchors(state, paths, config, phase)
 
 
 def _remember(

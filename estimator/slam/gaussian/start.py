@@ -172,6 +172,8 @@ def state_of(
         hypotheses=hypotheses,
         slots=slots,
         buffer=PathBuffer.empty(),
+        surveyed=PathBuffer.empty(),
+        swept_epoch=-1,
         losses_db=first_losses(anchors, config.noise.gain_offset_std_db, config.path_loss),
     )
 

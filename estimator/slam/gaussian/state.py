@@ -86,6 +86,10 @@ class GaussianState(NamedTuple):
         What they agree on about walls.
     buffer : PathBuffer
         The recent track and its paths.
+    surveyed : PathBuffer
+        Places of the track as far as it is known, and their paths, for surveys of anchors.
+    swept_epoch : int
+        The last epoch on the way that a sweep told of, -1 if none did.
     losses_db : ndarray, shape (K, 2, 2)
         Losses of each anchor's paths (:mod:`estimator.slam.models.path_loss`).
     """
@@ -101,6 +105,8 @@ class GaussianState(NamedTuple):
     hypotheses: Hypotheses
     slots: Slots
     buffer: PathBuffer
+    surveyed: PathBuffer
+    swept_epoch: int
     losses_db: Array
 
     @property
@@ -118,7 +124,16 @@ class GaussianState(NamedTuple):
         return self._replace(**changes)
 
 
-_SCALARS = ("carrier_hz", "bearing_rad", "epoch", "time_s", "log_evidence", "next_wall_id", "shared")
+_SCALARS = (
+    "carrier_hz",
+    "bearing_rad",
+    "epoch",
+    "time_s",
+    "log_evidence",
+    "next_wall_id",
+    "shared",
+    "swept_epoch",
+)
 _BUFFER = ("epoch", "anchor", "length_m", "std_m", "excess_loss_db", "unassociated")
 
 
@@ -129,8 +144,10 @@ def save_state(state: GaussianState) -> bytes:
     }
     columns |= {f"hypotheses.{name}": getattr(state.hypotheses, name) for name in Hypotheses._fields}
     columns |= {f"slots.{name}": getattr(state.slots, name) for name in Slots._fields}
-    columns |= {f"track.{name}": getattr(state.buffer.track, name) for name in Track._fields}
-    columns |= {f"buffer.{name}": getattr(state.buffer, name) for name in _BUFFER}
+    for kind in ("buffer", "surveyed"):
+        buffer = getattr(state, kind)
+        columns |= {f"{kind}.track.{name}": getattr(buffer.track, name) for name in Track._fields}
+        columns |= {f"{kind}.{name}": getattr(buffer, name) for name in _BUFFER}
     return pack(FORMAT, columns)
 
 
@@ -144,12 +161,18 @@ def load_state(data: bytes) -> GaussianState:
     """
 
     def build(columns: Columns) -> GaussianState:
-        track = Track(*(columns[f"track.{name}"] for name in Track._fields))
+        buffers = {
+            kind: PathBuffer(
+                Track(*(columns[f"{kind}.track.{name}"] for name in Track._fields)),
+                *(columns[f"{kind}.{name}"] for name in _BUFFER),
+            )
+            for kind in ("buffer", "surveyed")
+        }
         return GaussianState(
             anchor_names=tuple(str(name) for name in columns["anchor_names"]),
             hypotheses=Hypotheses(*(columns[f"hypotheses.{name}"] for name in Hypotheses._fields)),
             slots=Slots(*(columns[f"slots.{name}"] for name in Slots._fields)),
-            buffer=PathBuffer(track, *(columns[f"buffer.{name}"] for name in _BUFFER)),
+            **buffers,
             losses_db=columns["losses_db"],
             **{name: columns[name].item() for name in _SCALARS},
         )

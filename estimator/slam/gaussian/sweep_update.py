@@ -451,7 +451,9 @@ def take_sweep(
     corrected, nearest = room.take(np.arange(count)), nearest[:count]
     evidence = log_sum_exp(corrected.log_weight)
     corrected.log_weight[...] -= evidence
-    state = state.but(hypotheses=corrected, log_evidence=state.log_evidence + evidence)
+    state = state.but(
+        hypotheses=corrected, log_evidence=state.log_evidence + evidence, swept_epoch=state.epoch
+    )
     if heading_held:
         unlike = nearest > (model.unlike_gates * model.flash_gate_sigma) ** 2
         weight = np.exp(corrected.log_weight)

@@ -97,6 +97,12 @@ class PathBuffer(NamedTuple):
         """
         return _with_epoch(self, epoch, position_m, std_m, paths, associated, window)
 
+    def thinned(self) -> PathBuffer:
+        """The buffer with every other epoch only, the last one kept."""
+        track = Track(*(column[(self.epochs - 1) % 2 :: 2] for column in self.track))
+        stay = np.isin(self.epoch, track.epoch)
+        return PathBuffer(track, *(column[stay] for column in self[1:]))
+
     def with_associated(self, which: Mask | Index) -> PathBuffer:
         """The buffer with the paths ``which`` marked as associated: they start nothing any more."""
         unassociated = self.unassociated.copy()
