@@ -91,7 +91,7 @@ class FlashConfig:
         Settings of the pursuit of returns.
     """
 
-    range_std_m: float = 0.01
+    range_std_m: float = 0.02
     common_range_std_m: float = 0.04
     azimuth_std_rad: float = float(np.deg2rad(0.12))
     min_reflectivity_db: float = -20.0

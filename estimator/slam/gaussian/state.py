@@ -90,6 +90,9 @@ class GaussianState(NamedTuple):
         Places of the track as far as it is known, and their paths, for surveys of anchors.
     swept_epoch : int
         The last epoch on the way that a sweep told of, -1 if none did.
+    echo_residuals : ndarray, shape (2,)
+        Sum of the squared residuals of flashes in range over what is claimed of them, and what it should be: of
+        the recent sweeps.
     losses_db : ndarray, shape (K, 2, 2)
         Losses of each anchor's paths (:mod:`estimator.slam.models.path_loss`).
     """
@@ -107,6 +110,7 @@ class GaussianState(NamedTuple):
     buffer: PathBuffer
     surveyed: PathBuffer
     swept_epoch: int
+    echo_residuals: Array
     losses_db: Array
 
     @property
@@ -140,7 +144,7 @@ _BUFFER = ("epoch", "anchor", "length_m", "std_m", "excess_loss_db", "unassociat
 def save_state(state: GaussianState) -> bytes:
     """The state as bytes (an npz archive without pickles); equal states give equal bytes."""
     columns: dict[str, Any] = {
-        name: getattr(state, name) for name in (*_SCALARS, "losses_db", "anchor_names")
+        name: getattr(state, name) for name in (*_SCALARS, "echo_residuals", "losses_db", "anchor_names")
     }
     columns |= {f"hypotheses.{name}": getattr(state.hypotheses, name) for name in Hypotheses._fields}
     columns |= {f"slots.{name}": getattr(state.slots, name) for name in Slots._fields}
@@ -174,6 +178,7 @@ def load_state(data: bytes) -> GaussianState:
             slots=Slots(*(columns[f"slots.{name}"] for name in Slots._fields)),
             **buffers,
             losses_db=columns["losses_db"],
+            echo_residuals=columns["echo_residuals"],
             **{name: columns[name].item() for name in _SCALARS},
         )
 

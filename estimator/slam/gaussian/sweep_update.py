@@ -20,6 +20,7 @@ from estimator.slam.gaussian.polar_correction import correct_along_circles
 from estimator.slam.gaussian.slots import open_slot
 from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.models.directions import wrapped
+from estimator.slam.models.features import mirror
 from estimator.slam.models.hypotheses import Hypotheses, log_sum_exp
 from estimator.slam.models.kalman import projected, scalar_update
 from estimator.slam.models.settings import Settings, not_negative, positive, probability
@@ -43,8 +44,6 @@ class SweepMatching(Settings):
     ----------
     flash_gate_sigma : float
         A flash farther from every wall than this many standard deviations is none of theirs.
-    unlike_gates : float
-        A flash nearer to a known wall than so many gates is that wall's, though a bad one, and no new wall.
     new_flash_density : float
         Density of flashes of walls not yet known, per metre of range and radian of bearing: half a flash a
         sweep, anywhere within 20 m.
@@ -55,21 +54,37 @@ class SweepMatching(Settings):
         deviation, metres. It becomes a state.
     square_share, square_std_rad : float
         Share of new walls that stand parallel or square to a known one, and how exactly, radians.
+    pair_flashes : float
+        Flashes of a sweep that are double bounces over two known walls, on average,
+    pair_std_m, pair_azimuth_rad : float
+        and how far off the range of the image and the directions of arrival and departure they are, metres
+        and radians.
     rival_nats : float
         A match no more than this likelier than another one, or than a new wall, gets that one as its rival.
     least_new_weight : float
         Weight of the hypotheses that must ask for a new wall; it enters those alone.
+    residual_flashes, residual_memory : float
+        The variance claimed of flashes is scaled to their residuals in range: the claim counts as so many
+        flashes, and the last so many tell.
+    least_echo_scale, most_echo_scale : float
+        Within these limits.
     """
 
     flash_gate_sigma: float = positive(4.0)
-    unlike_gates: float = positive(1.5)
     new_flash_density: float = positive(0.5 / (20.0 * 2.0 * np.pi))
     heading_scale_m: float = positive(0.5)
     echo_bias_std_m: float = not_negative(0.0)
     square_share: float = probability(0.8)
     square_std_rad: float = positive(0.01)
+    pair_flashes: float = positive(0.3)
+    pair_std_m: float = positive(0.05)
+    pair_azimuth_rad: float = positive(0.2)
     rival_nats: float = not_negative(8.0)
     least_new_weight: float = probability(0.01)
+    residual_flashes: float = positive(20.0)
+    residual_memory: float = positive(200.0)
+    least_echo_scale: float = positive(0.25)
+    most_echo_scale: float = positive(9.0)
 
     def compiled(self, most_turn_rad: float) -> MatchModel:
         """What compiled functions take."""
@@ -79,6 +94,9 @@ class SweepMatching(Settings):
             self.square_share,
             self.square_std_rad,
             self.heading_scale_m,
+            self.pair_flashes,
+            self.pair_std_m,
+            self.pair_azimuth_rad,
             self.rival_nats,
             most_turn_rad,
         )
@@ -92,6 +110,9 @@ class MatchModel(NamedTuple):
     square_share: float
     square_std_rad: float
     heading_scale_m: float
+    pair_flashes: float
+    pair_std_m: float
+    pair_azimuth_rad: float
     rival_nats: float
     most_turn_rad: float
 
@@ -220,7 +241,53 @@ def _new_density(
     if walls:
         square *= 2.0 * np.pi / (4.0 * walls * np.sqrt(2.0 * np.pi * variance))
     share = model.square_share if walls else 0.0
-    return float(model.new_density / reach * (1.0 - share + share * square))
+    return float(0.5 * model.new_density / reach * (1.0 - share + share * square))
+
+
+@compiled
+def _pair_density(
+    layout: Layout,
+    mean: Array,
+    present: NDArray[np.bool_],
+    x: float,
+    y: float,
+    noise: Array,
+    model: MatchModel,
+) -> float:
+    """Density of a flash at (x, y) that is no wall's but a double bounce over two known ones, per square metre.
+
+    There and back over both walls the range is half the way to the agent's image over both; the direction lies
+    between those in which the way there begins and the way back ends.
+    """
+    reach = max(np.hypot(x, y), 1e-3)
+    range_m, along = 0.5 * reach - mean[ECHO_BIAS], np.arctan2(y, x) - mean[THETA]
+    variance = model.pair_std_m**2 + 0.25 * (
+        noise[0, 0] * x * x + 2.0 * noise[0, 1] * x * y + noise[1, 1] * y * y
+    ) / (reach * reach)
+    first, pairs, density = FIRST_ANCHOR + PER_ANCHOR * layout.anchors, 0, 0.0
+    px, py = mean[0], mean[1]
+    for i in range(layout.slots):
+        if not present[i]:
+            continue
+        vx, vy = mean[first + 2 * i], mean[first + 2 * i + 1]
+        for j in range(i):
+            if not present[j]:
+                continue
+            pairs += 1
+            wx, wy = mean[first + 2 * j], mean[first + 2 * j + 1]
+            ax, ay = mirror(px, py, vx, vy)
+            ax, ay = mirror(ax, ay, wx, wy)
+            gap = 0.5 * np.hypot(ax - px, ay - py) - range_m
+            if gap * gap > 16.0 * variance:
+                continue
+            bx, by = mirror(px, py, wx, wy)
+            bx, by = mirror(bx, by, vx, vy)
+            arrival, departure = np.arctan2(ay - py, ax - px), np.arctan2(by - py, bx - px)
+            half = 0.5 * wrapped(departure - arrival)
+            off, width = abs(wrapped(along - arrival - half)), abs(half) + model.pair_azimuth_rad
+            if off < width:
+                density += np.exp(-0.5 * gap * gap / variance) / (np.sqrt(2.0 * np.pi * variance) * 2.0 * width)
+    return float(0.5 * model.pair_flashes * density / max(pairs, 1) / reach)
 
 
 @compiled
@@ -235,7 +302,7 @@ def _match(
     model: MatchModel,
     forced: Index,
     slot: Index,
-    nearest: Array,
+    residual: Array,
 ) -> tuple[float, float, int, int]:
     """Match flashes with walls, the best pair first, each taken at once; the log density of all.
 
@@ -259,9 +326,9 @@ def _match(
     forced : ndarray of int64, shape (2,)
         A flash, -1 for none, and the wall it must match, -1 for none.
     slot : ndarray of int64, shape (J,)
-        Takes the wall of each flash, -1 for none.
-    nearest : ndarray, shape (J,)
-        Takes how far off the nearest wall is after all corrections: a squared distance.
+        Takes the wall of each flash, -1 for a new one, -2 for a double bounce over known ones.
+    residual : ndarray, shape (2,)
+        Takes the squared residuals in range of the matched flashes over their variances, and what they should be.
 
     Returns
     -------
@@ -275,14 +342,15 @@ def _match(
     flashes, slots = seen.shape[0], layout.slots
     index, value = np.empty(FLASH_ENTRIES, dtype=np.int64), np.empty((2, FLASH_ENTRIES))
     first, second = np.empty(mean.size), np.empty(mean.size)
-    slot[:] = -1
     used = np.zeros(slots, dtype=np.bool_)
     none = np.empty(flashes)
     for j in range(flashes):
-        none[j] = -np.log(_new_density(layout, mean, present, seen[j, 0], seen[j, 1], noise[j], model))
+        new = _new_density(layout, mean, present, seen[j, 0], seen[j, 1], noise[j], model)
+        pair = _pair_density(layout, mean, present, seen[j, 0], seen[j, 1], noise[j], model)
+        none[j], slot[j] = -np.log(new + pair), -1 if new > pair else -2
     total, margin, other_flash, other_wall = 0.0, np.inf, -1, -1
     cost = np.empty((flashes, slots))
-    for turn in range(flashes):
+    for _ in range(flashes):
         best, flash, wall = np.inf, -1, -1
         for j in range(flashes):
             if slot[j] >= 0:
@@ -313,20 +381,20 @@ def _match(
         total += _take(
             layout, mean, covariance, wall, seen[flash, 0], seen[flash, 1], noise[flash], heading_variance
         )
+    residual[:] = 0.0
     for j in range(flashes):
-        nearest[j] = 0.0
         if slot[j] >= 0:
+            fx, fy = flash_of(layout, mean, slot[j], index, value)
+            length = max(np.hypot(fx, fy), 1e-3)
+            nx, ny = fx / length, fy / length
+            for e in range(FLASH_ENTRIES):
+                value[0, e] = nx * value[0, e] + ny * value[1, e]
+            claimed = nx * nx * noise[j, 0, 0] + 2.0 * nx * ny * noise[j, 0, 1] + ny * ny * noise[j, 1, 1]
+            fitted = projected(covariance, index, value[0], FLASH_ENTRIES, first)
+            residual[0] += (nx * (seen[j, 0] - fx) + ny * (seen[j, 1] - fy)) ** 2 / claimed
+            residual[1] += max(1.0 - fitted / claimed, 0.0)
             continue
-        nearest[j] = np.inf
         total -= none[j]
-        if j == forced[0]:
-            continue
-        for i in range(slots):
-            if present[i]:
-                square, _ = _cost(
-                    layout, mean, covariance, i, seen[j, 0], seen[j, 1], noise[j], index, value, first, second
-                )
-                nearest[j] = min(nearest[j], square)
     return total, margin, other_flash, other_wall
 
 
@@ -339,13 +407,13 @@ def _update(
     noise: Array,
     held: bool,
     model: MatchModel,
-) -> tuple[int, Array]:
+) -> tuple[int, NDArray[np.bool_], Array]:
     """Correct the first ``before`` hypotheses in place; the others are room for rivals, where matches are in doubt.
 
-    How many there are then, and how far off (R, J) the nearest wall of each is for each flash.
+    How many there are then, which flashes (R, J) no wall of each explains, and residuals (R, 2).
     """
     flashes, n = seen.shape[0], hypotheses.mean.shape[1]
-    nearest = np.empty((2 * before, flashes))
+    unmatched, residual = np.empty((2 * before, flashes), dtype=np.bool_), np.empty((2 * before, 2))
     back, spread = np.empty(seen.shape), np.empty(noise.shape)
     slot = np.empty(flashes, dtype=np.int64)
     count = before
@@ -384,7 +452,7 @@ def _update(
                 model,
                 forced,
                 slot,
-                nearest[at],
+                residual[at],
             )
             if attempt:
                 hypotheses.located[at], hypotheses.present[at] = hypotheses.located[r], hypotheses.present[r]
@@ -393,6 +461,7 @@ def _update(
             hypotheses.log_weight[at] = weight + density
             hypotheses.mean[at], hypotheses.covariance[at] = wide_mean[:n], wide[:n, :n]
             for j in range(flashes):
+                unmatched[at, j] = slot[j] == -1
                 if slot[j] >= 0:
                     hypotheses.support[at, slot[j]] += 1
             if model.most_turn_rad > 0.0:
@@ -407,7 +476,7 @@ def _update(
             if not margin < model.rival_nats:
                 break
             forced[0], forced[1] = flash, wall
-    return count, nearest
+    return count, unmatched, residual
 
 
 def take_sweep(
@@ -443,23 +512,30 @@ def take_sweep(
         return state
     to_gauge = rotation_matrix(-state.bearing_rad)
     seen = np.array([wall.mean_m for wall in sweep]) @ to_gauge.T
+    scale = float(state.echo_residuals[0] / state.echo_residuals[1])
     noise = np.array([to_gauge @ own_covariance(wall, model.echo_bias_std_m) @ to_gauge.T for wall in sweep])
+    scale = min(max(scale, model.least_echo_scale), model.most_echo_scale)
+    noise *= scale
     room = state.hypotheses.take(np.tile(np.arange(state.hypotheses.number), 2))
-    count, nearest = _update(
+    count, unmatched, residual = _update(
         state.layout, room, state.hypotheses.number, seen, noise, heading_held, model.compiled(most_turn_rad)
     )
-    corrected, nearest = room.take(np.arange(count)), nearest[:count]
+    corrected, unmatched = room.take(np.arange(count)), unmatched[:count]
     evidence = log_sum_exp(corrected.log_weight)
     corrected.log_weight[...] -= evidence
+    told = np.array([scale, 1.0]) * residual[corrected.best]
+    kept = max(1.0 - told[1] / model.residual_memory, 0.0)
     state = state.but(
-        hypotheses=corrected, log_evidence=state.log_evidence + evidence, swept_epoch=state.epoch
+        hypotheses=corrected,
+        log_evidence=state.log_evidence + evidence,
+        swept_epoch=state.epoch,
+        echo_residuals=kept * state.echo_residuals + told,
     )
     if heading_held:
-        unlike = nearest > (model.unlike_gates * model.flash_gate_sigma) ** 2
         weight = np.exp(corrected.log_weight)
         for j in range(len(seen)):
-            if weight[unlike[:, j]].sum() > model.least_new_weight:
-                state = _enter(state, np.flatnonzero(unlike[:, j]), seen[j], noise[j], visibility)
+            if weight[unmatched[:, j]].sum() > model.least_new_weight:
+                state = _enter(state, np.flatnonzero(unmatched[:, j]), seen[j], noise[j], visibility)
     return state
 
 
