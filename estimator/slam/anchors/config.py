@@ -72,6 +72,8 @@ class AnchorSearchConfig(Settings):
         Places of one survey, spread evenly over those that heard the anchor.
     survey_track_std_m : float
         Anchors are surveyed while the agent's standard deviation is below this, metres.
+    survey_patience : int
+        Epochs after a sweep in which anchors wait for their survey, however little is known of the track.
     survey_least : int
         Places at which an anchor must have been heard.
     survey_stride, survey_recheck_stride : int
@@ -170,6 +172,7 @@ class AnchorSearchConfig(Settings):
     survey_step_m: float = positive(0.4)
     survey_epochs: int = positive(40)
     survey_track_std_m: float = positive(0.25)
+    survey_patience: int = positive(12)
     survey_least: int = positive(12)
     survey_stride: int = positive(4)
     survey_recheck_stride: int = positive(16)

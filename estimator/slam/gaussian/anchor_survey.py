@@ -24,15 +24,32 @@ from estimator.slam.models.path_loss import known_gain_offsets
 from estimator.slam.models.state_vector import NOWHERE_M
 from estimator.slam.models.visibility import prior_visibility
 
-__all__ = ["is_track_known", "survey_anchors", "surveyed_paths"]
+__all__ = ["forget_guesses", "is_track_known", "is_tracked", "survey_anchors", "surveyed_paths"]
 
 Array = NDArray[np.float64]
 _KNOWN_M2 = 1e-12  # variance of an anchor known from the start, left by rounding where hypotheses were merged
 
 
+def is_tracked(state: GaussianState, config: AnchorSearchConfig) -> bool:
+    """Whether a sweep has told of the agent's motion lately."""
+    return 0 <= state.tracked_epoch and state.epoch - state.tracked_epoch <= config.survey_patience
+
+
+def forget_guesses(state: GaussianState, config: GaussianConfig) -> GaussianState:
+    """The state at the first sweep on the way: anchors that were guessed wait for their survey."""
+    if state.tracked_epoch >= 0 or state.surveyed.epochs >= config.anchors.survey_least:
+        return state
+    best = state.hypotheses.best
+    for k in np.flatnonzero(state.hypotheses.located.any(axis=0)).tolist():
+        place = state.layout.anchor_xy(k)
+        if np.trace(state.hypotheses.covariance[best, place, place]) >= _KNOWN_M2:
+            state = _without_anchor(state, k, config)
+    return state
+
+
 def is_track_known(state: GaussianState, config: AnchorSearchConfig) -> bool:
     """Whether sweeps on the way tell the track well enough to survey anchors from it."""
-    if state.swept_epoch < 0:
+    if not is_tracked(state, config):
         return False
     best = state.hypotheses.best
     variance = 0.5 * float(np.trace(state.hypotheses.covariance[best, :2, :2]))
@@ -49,7 +66,7 @@ def surveyed_paths(state: GaussianState, paths: EpochPaths, config: AnchorSearch
     kept, count = state.surveyed, len(track.epoch)
     if count:
         apart = np.hypot(*np.diff(track.position_m, axis=0).T)
-        step = max(config.survey_step_m, float(np.median(apart)) if count > 1 else 0.0)
+        step = max(config.survey_step_m, 0.9 * float(np.min(apart, initial=np.inf)) if count > 1 else 0.0)
         if np.hypot(*(mean[:2] - track.position_m[-1])) < step:
             return kept
     if count >= config.survey_track:

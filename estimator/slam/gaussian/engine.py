@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 
 from estimator.errors import InputError
 from estimator.measurements import AnchorPaths, Epoch
-from estimator.slam.gaussian.anchor_survey import is_track_known, survey_anchors, surveyed_paths
+from estimator.slam.gaussian.anchor_survey import (
+    forget_guesses,
+    is_track_known,
+    is_tracked,
+    survey_anchors,
+    surveyed_paths,
+)
 from estimator.slam.gaussian.anchors import initialise_anchors
 from estimator.slam.gaussian.births.virtual_anchors import bear_virtual_anchors, shorter_than_sight
 from estimator.slam.gaussian.births.walls import bear_wall
@@ -117,7 +123,7 @@ def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> Gaus
     hypotheses = state.hypotheses
     if state.epoch >= 0:
         step_s = epoch.time_s - state.time_s
-        if epoch.sweep and state.shared:
+        if state.shared and (epoch.sweep or is_tracked(state, config.anchors)):
             hypotheses = with_turns(hypotheses, step_s, config.motion)
         hypotheses = predict_hypotheses(
             state.layout,
@@ -135,7 +141,7 @@ def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> Gaus
 def _sweep(state: GaussianState, epoch: Epoch, config: GaussianConfig, phase: Phase) -> GaussianState:
     """Take the epoch's sweep; hypotheses that it refutes are dropped before paths are looked at."""
     state = take_sweep(
-        state,
+        forget_guesses(state, config),
         epoch.sweep,
         epoch.heading_held,
         config.sweeps,
@@ -210,6 +216,8 @@ def _locate(state: GaussianState, paths: EpochPaths, config: GaussianConfig, pha
     state = state.but(surveyed=surveyed_paths(state, paths, config.anchors))
     if is_track_known(state, config.anchors):
         return survey_anchors(state, config, phase.anchors)
+    if is_tracked(state, config.anchors):
+        return state
     return initialise_anchors(state, paths, config, phase)
 
 

@@ -173,7 +173,7 @@ def state_of(
         slots=slots,
         buffer=PathBuffer.empty(),
         surveyed=PathBuffer.empty(),
-        swept_epoch=-1,
+        tracked_epoch=-1,
         echo_residuals=np.full(2, config.sweeps.residual_flashes),
         losses_db=first_losses(anchors, config.noise.gain_offset_std_db, config.path_loss),
     )

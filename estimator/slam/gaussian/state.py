@@ -88,8 +88,8 @@ class GaussianState(NamedTuple):
         The recent track and its paths.
     surveyed : PathBuffer
         Places of the track as far as it is known, and their paths, for surveys of anchors.
-    swept_epoch : int
-        The last epoch on the way that a sweep told of, -1 if none did.
+    tracked_epoch : int
+        The last epoch on the way whose motion a sweep told, -1 if none did.
     echo_residuals : ndarray, shape (2,)
         Sum of the squared residuals of flashes in range over what is claimed of them, and what it should be: of
         the recent sweeps.
@@ -109,7 +109,7 @@ class GaussianState(NamedTuple):
     slots: Slots
     buffer: PathBuffer
     surveyed: PathBuffer
-    swept_epoch: int
+    tracked_epoch: int
     echo_residuals: Array
     losses_db: Array
 
@@ -136,7 +136,7 @@ _SCALARS = (
     "log_evidence",
     "next_wall_id",
     "shared",
-    "swept_epoch",
+    "tracked_epoch",
 )
 _BUFFER = ("epoch", "anchor", "length_m", "std_m", "excess_loss_db", "unassociated")
 

@@ -528,7 +528,7 @@ def take_sweep(
     state = state.but(
         hypotheses=corrected,
         log_evidence=state.log_evidence + evidence,
-        swept_epoch=state.epoch,
+        tracked_epoch=state.epoch,
         echo_residuals=kept * state.echo_residuals + told,
     )
     if heading_held:
