@@ -47,6 +47,11 @@ _SHAPES: dict[str, tuple[tuple[str, ...], str]] = {
     "candidate_wall_id": (("candidate_wall",), "1"),
     "candidate_wall_mean_m": (("epoch", "candidate", "candidate_wall", "xy"), "m"),
 }
+_LATER: dict[str, tuple[tuple[str, ...], str]] = {  # files of before may lack them
+    "integrity_state": (("epoch",), "1"),
+    "integrity_probability": (("epoch",), "1"),
+    "protection_level_m": (("epoch",), "m"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +98,12 @@ class SlamResult:
         Identity of each wall that any of them has at any epoch, unconfirmed ones included.
     candidate_wall_mean_m : ndarray, shape (T, C, M, 2)
         The walls of each hypothesis as VRPs, NaN for those that it has not.
+    integrity_state : ndarray of int64, shape (T,)
+        Whether the epoch may be relied on: 0 ok, 1 doubtful, 2 lost, -1 unknown.
+    integrity_probability : ndarray, shape (T,)
+        Probability that the agent is within a metre of where it is thought to be; NaN if unknown.
+    protection_level_m : ndarray, shape (T,)
+        The error of the position is smaller with 99.9 % probability, metres; NaN if unknown.
     settings : mapping
         Resolved configuration of the run and of its measurements (JSON types).
     dataset : str or None
@@ -125,12 +136,23 @@ class SlamResult:
     candidate_wall_mean_m: NDArray[np.float64]
     settings: Mapping[str, Any] = field(default_factory=dict)
     dataset: str | None = None
+    integrity_state: NDArray[np.int64] | None = None
+    integrity_probability: NDArray[np.float64] | None = None
+    protection_level_m: NDArray[np.float64] | None = None
+
+    @property
+    def flagged(self) -> NDArray[np.bool_]:
+        """Epochs (T,) that are doubtful or lost; none where the engine does not tell."""
+        if self.integrity_state is None:
+            return np.zeros(len(self.epoch), dtype=bool)
+        return np.asarray(self.integrity_state > 0)
 
 
 def save_result(result: SlamResult, path: Path) -> None:
     """Write a result file (netCDF); raises OutputExistsError if ``path`` exists."""
     variables = {}
-    for name, (dims, units) in _SHAPES.items():
+    told = {name: shape for name, shape in _LATER.items() if getattr(result, name) is not None}
+    for name, (dims, units) in (_SHAPES | told).items():
         values = getattr(result, name)
         if values.dtype == np.bool_:
             values = values.astype(np.int8)
@@ -157,12 +179,13 @@ def load_result(path: Path) -> SlamResult:
     missing = [name for name in (*_SHAPES, "anchor") if name not in data]
     if missing:
         raise FileFormatError(f"{path}: expected the variables {missing}, they are missing")
-    for name, (dims, _) in _SHAPES.items():
+    shapes = _SHAPES | {name: shape for name, shape in _LATER.items() if name in data}
+    for name, (dims, _) in shapes.items():
         if data[name].dims != dims:
             raise FileFormatError(f"{path}: expected {name} to have axes {dims}, got {data[name].dims}")
     attributes = data.attrs
     try:
-        arrays = {name: data[name].values for name in _SHAPES}
+        arrays = {name: data[name].values for name in shapes}
         for name in ("anchor_valid", "wall_valid"):
             arrays[name] = arrays[name].astype(bool)
         return SlamResult(

@@ -241,6 +241,9 @@ def evaluate(
           rotation; null where not found);
         - ``vrp_ospa_m``: OSPA distance of the VRPs at the last epoch from those of the true
           walls, rotation included;
+        - ``integrity_flagged_epochs``: epochs that the engine itself says are doubtful or lost;
+          ``integrity_first_flagged``: the first of them, null if there is none; ``protection_held``: share of the
+          other epochs whose error is below their protection level, null where the engine tells none;
         - ``lost``: whether ``derotated_rmse_m`` is beyond use;
         - ``seconds_per_epoch``: as given.
 
@@ -274,8 +277,22 @@ def evaluate(
             )
         ],
         **_walls(result, known, angle, config),
+        **_integrity(result, error),
         "lost": derotated_rmse > config.lost_m,
         "seconds_per_epoch": seconds_per_epoch,
+    }
+
+
+def _integrity(result: SlamResult, error: Array) -> dict[str, Any]:
+    """What the engine said of its own epochs, and whether its protection levels held."""
+    flagged, held = result.flagged, None
+    if result.protection_level_m is not None:
+        told = ~flagged & np.isfinite(result.protection_level_m)
+        held = float(np.mean(error[told] < result.protection_level_m[told])) if told.any() else None
+    return {
+        "integrity_flagged_epochs": int(flagged.sum()),
+        "integrity_first_flagged": int(result.epoch[np.argmax(flagged)]) if flagged.any() else None,
+        "protection_held": held,
     }
 
 

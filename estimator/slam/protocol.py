@@ -24,12 +24,15 @@ __all__ = [
     "Candidate",
     "Engine",
     "Estimate",
+    "INTEGRITY_STATES",
+    "Integrity",
     "Prior",
     "epoch_rng",
     "stacked_candidates",
 ]
 
 Array = NDArray[np.float64]
+INTEGRITY_STATES = ("ok", "doubtful", "lost")  # as numbers in files; unknown is -1
 MOST = 8  # candidates told of an estimate
 LEAST_WEIGHT = 1e-3  # of a candidate worth telling
 
@@ -54,6 +57,28 @@ class Candidate:
     agent_m: NDArray[np.float64]
     wall_id: NDArray[np.int64]
     wall_mean_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Integrity:
+    """Whether the estimate may be relied on.
+
+    Parameters
+    ----------
+    state : str
+        ``ok``, ``doubtful``, ``lost``, or ``unknown`` where the engine does not tell.
+    probability : float
+        Probability that the agent is within a metre of where it is thought to be; NaN if unknown.
+    protection_level_m : float
+        The error of the position is smaller with 99.9 % probability, metres; NaN if unknown.
+    reasons : tuple of str
+        What speaks against it.
+    """
+
+    state: str = "unknown"
+    probability: float = float("nan")
+    protection_level_m: float = float("nan")
+    reasons: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +112,8 @@ class Estimate:
     candidates : tuple of Candidate
         The likeliest hypotheses one by one, the likeliest first; of engines that keep marginals
         alone, the walls not found yet, each with its probability of existence.
+    integrity : Integrity
+        Whether all this may be relied on.
     """
 
     agent_mean: Array
@@ -103,6 +130,7 @@ class Estimate:
     anchor_existence: Array
     wall_existence: Array
     candidates: tuple[Candidate, ...]
+    integrity: Integrity = Integrity()
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,13 +16,14 @@ from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.engine import GaussianEngine
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.particle.engine import ParticleEngine
-from estimator.slam.protocol import Engine, Estimate, Prior, epoch_rng, stacked_candidates
+from estimator.slam.protocol import INTEGRITY_STATES, Engine, Estimate, Prior, epoch_rng, stacked_candidates
 from estimator.threads import one_blas_thread
 
 __all__ = ["ENGINES", "METHODS", "config_for", "engine_for", "run_slam"]
 
 METHODS = tuple(methods.METHODS)
 ENGINES = ("gaussian", "particle")
+_STATES = {name: number for number, name in enumerate(INTEGRITY_STATES)}
 Config = GaussianConfig | ParticleConfig
 _CONFIGS: Mapping[str, type[Config]] = {"gaussian": GaussianConfig, "particle": ParticleConfig}
 
@@ -184,6 +185,9 @@ def collect(
         anchor_existence=stacked("anchor_existence", anchors),
         wall_existence=wall_existence,
         **stacked_candidates([e.candidates for e in estimates]),
+        integrity_state=np.array([_STATES.get(e.integrity.state, -1) for e in estimates], dtype=np.int64),
+        integrity_probability=np.array([e.integrity.probability for e in estimates]),
+        protection_level_m=np.array([e.integrity.protection_level_m for e in estimates]),
         settings=dict(settings),
         dataset=measurements.dataset,
     )

@@ -12,6 +12,7 @@ from estimator.slam.association.gating import GateModel, Gating
 from estimator.slam.gaussian.births.config import Births, VirtualBirths
 from estimator.slam.gaussian.branching import Branching, BranchModel
 from estimator.slam.gaussian.clutter import Clutter
+from estimator.slam.gaussian.integrity import IntegrityModel
 from estimator.slam.gaussian.lifecycle import Lifecycle
 from estimator.slam.gaussian.phase import Phase, Phases
 from estimator.slam.gaussian.reclassification import Reclassification
@@ -82,6 +83,8 @@ class GaussianConfig:
         When walls are confirmed and deleted.
     phases : Phases
         What is different in the first epochs, and while no wall is known.
+    integrity : IntegrityModel
+        When a run is doubtful or lost.
     """
 
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
@@ -102,6 +105,7 @@ class GaussianConfig:
     reduction: Reduction = field(default_factory=Reduction)
     lifecycle: Lifecycle = field(default_factory=Lifecycle)
     phases: Phases = field(default_factory=Phases)
+    integrity: IntegrityModel = field(default_factory=IntegrityModel)
 
     @classmethod
     def of(cls, **settings: Any) -> GaussianConfig:

@@ -4,7 +4,7 @@
 :func:`estimator.slam.gaussian.start.start`. Online and offline use call the same function.
 
     predict -> take sweep -> gate, associate, branch, update -> initialise anchors
-    -> path buffer -> births -> reduce the mixture -> lifecycle (confirm, delete)
+    -> path buffer -> births -> reduce the mixture -> lifecycle (confirm, delete) -> integrity
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from estimator.slam.gaussian.births.walls import bear_wall
 from estimator.slam.gaussian.clutter import clutter_density
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.estimate import estimate
+from estimator.slam.gaussian.integrity import with_epoch
 from estimator.slam.gaussian.lifecycle import (
     delete_redundant,
     existence_odds,
@@ -97,12 +98,22 @@ def step(
     state = _predict(state, epoch, config)
     if epoch.sweep and state.shared:
         state = _sweep(state, epoch, config, phase)
+    before = state.log_evidence
     state, explained = _update(state, paths, config)
+    located = state.hypotheses.located[state.hypotheses.best]
+    signs = (
+        float(paths.valid[located].sum()),
+        float((paths.valid & (explained < 0.5))[located].sum()),
+        state.log_evidence - before,
+    )
     state = _locate(state, paths, config, phase)
     state = _remember(state, paths, explained, config)
     state = _bear(state, config, phase)
     reduced = reduce_mixture(state.hypotheses, config.reduce_model(phase, state.layout))
-    return _live_on(state.but(hypotheses=reduced), config, phase)
+    state = _live_on(state.but(hypotheses=reduced), config, phase)
+    best = state.hypotheses.best
+    std = float(np.sqrt(np.trace(state.hypotheses.covariance[best, :2, :2])))
+    return state.but(indicators=with_epoch(state.indicators, *signs, std, config.integrity))
 
 
 def _check(state: GaussianState, epoch: Epoch) -> None:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from estimator.geometry import rotate_by_angle_of, rotation_matrix
 from estimator.slam.gaussian.config import GaussianConfig
+from estimator.slam.gaussian.integrity import judged
 from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.gaussian.virtual_walls import Wall, virtual_walls
 from estimator.slam.models.hypotheses import moments, normalised_weights
@@ -82,6 +83,7 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         anchor_existence,
         np.array([wall.existence for wall in walls], dtype=np.float64),
         candidates(state),
+        judged(state.indicators, agent[1][:2, :2], config.integrity),
     )
 
 

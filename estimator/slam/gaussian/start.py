@@ -17,6 +17,7 @@ from estimator.errors import InputError
 from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
 from estimator.slam.gaussian.config import GaussianConfig
+from estimator.slam.gaussian.integrity import no_indicators
 from estimator.slam.gaussian.state import GaussianState, Slots
 from estimator.slam.models.clocks import clock_prior
 from estimator.slam.models.hypotheses import Hypotheses
@@ -174,6 +175,7 @@ def state_of(
         buffer=PathBuffer.empty(),
         surveyed=PathBuffer.empty(),
         tracked_epoch=-1,
+        indicators=no_indicators(config.integrity),
         echo_residuals=np.full(2, config.sweeps.residual_flashes),
         losses_db=first_losses(anchors, config.noise.gain_offset_std_db, config.path_loss),
     )

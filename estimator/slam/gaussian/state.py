@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.archive import Columns, pack, unpack
+from estimator.slam.gaussian.integrity import Indicators
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.path_buffer import PathBuffer, Track
 from estimator.slam.models.state_vector import Layout
@@ -93,6 +94,8 @@ class GaussianState(NamedTuple):
     echo_residuals : ndarray, shape (2,)
         Sum of the squared residuals of flashes in range over what is claimed of them, and what it should be: of
         the recent sweeps.
+    indicators : Indicators
+        Signs of whether the run is right (:mod:`estimator.slam.gaussian.integrity`).
     losses_db : ndarray, shape (K, 2, 2)
         Losses of each anchor's paths (:mod:`estimator.slam.models.path_loss`).
     """
@@ -111,6 +114,7 @@ class GaussianState(NamedTuple):
     surveyed: PathBuffer
     tracked_epoch: int
     echo_residuals: Array
+    indicators: Indicators
     losses_db: Array
 
     @property
@@ -146,6 +150,7 @@ def save_state(state: GaussianState) -> bytes:
     columns: dict[str, Any] = {
         name: getattr(state, name) for name in (*_SCALARS, "echo_residuals", "losses_db", "anchor_names")
     }
+    columns["indicators"] = np.array(state.indicators)
     columns |= {f"hypotheses.{name}": getattr(state.hypotheses, name) for name in Hypotheses._fields}
     columns |= {f"slots.{name}": getattr(state.slots, name) for name in Slots._fields}
     for kind in ("buffer", "surveyed"):
@@ -179,6 +184,7 @@ def load_state(data: bytes) -> GaussianState:
             **buffers,
             losses_db=columns["losses_db"],
             echo_residuals=columns["echo_residuals"],
+            indicators=Indicators(*columns["indicators"].tolist()),
             **{name: columns[name].item() for name in _SCALARS},
         )
 
