@@ -242,8 +242,8 @@ def evaluate(
         - ``vrp_ospa_m``: OSPA distance of the VRPs at the last epoch from those of the true
           walls, rotation included;
         - ``integrity_flagged_epochs``: epochs that the engine itself says are doubtful or lost;
-          ``integrity_first_flagged``: the first of them, null if there is none; ``protection_held``: share of the
-          other epochs whose error is below their protection level, null where the engine tells none;
+          ``integrity_first_flagged``: the first of them, null if there is none; ``protection_held``: share
+          of the other epochs whose error is below their protection level, null where the engine tells none;
         - ``lost``: whether ``derotated_rmse_m`` is beyond use;
         - ``seconds_per_epoch``: as given.
 

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from estimator.measurements import Epoch, GaussianVrp, MeasurementSet
 
 __all__ = [
+    "INTEGRITY_STATES",
     "LEAST_WEIGHT",
     "MOST",
     "Candidate",
     "Engine",
     "Estimate",
-    "INTEGRITY_STATES",
     "Integrity",
     "Prior",
     "epoch_rng",

@@ -64,8 +64,8 @@ class AnchorSearchConfig(Settings):
     height_scale_m : float
         Mean of the exponential prior of the height, metres: antennas on ceilings and walls.
     survey_track : int
-        Places of the whole track whose paths are kept for surveys (:mod:`estimator.slam.anchors.survey`): where
-        there are more, every other one is dropped.
+        Places of the whole track whose paths are kept for surveys (:mod:`estimator.slam.anchors.survey`):
+        where there are more, every other one is dropped.
     survey_step_m : float
         These are this far apart at least, metres.
     survey_epochs : int
@@ -78,8 +78,11 @@ class AnchorSearchConfig(Settings):
         Places at which an anchor must have been heard.
     survey_stride, survey_recheck_stride : int
         Epochs between surveys of an anchor that is not located, and of one that is.
+    survey_near_share : float
+        The grid reaches as far as the shortest path of the epoch at this quantile of them: no anchor is
+        farther off than a path of its is long, but for clutter.
     survey_points, survey_spacing_m : int, float
-        Points of the grid at most, and metres between them at least.
+        Points of the grid, and the spacing in metres to which it is made finer round the best of them.
     survey_grid_epochs, survey_seeds : int
         Epochs that weigh the grid, and places that are refined.
     survey_share_los, survey_share_wall, survey_share_pair : float
@@ -176,6 +179,7 @@ class AnchorSearchConfig(Settings):
     survey_least: int = positive(12)
     survey_stride: int = positive(4)
     survey_recheck_stride: int = positive(16)
+    survey_near_share: float = probability(0.25)
     survey_points: int = positive(1600)
     survey_spacing_m: float = positive(0.4)
     survey_grid_epochs: int = positive(16)

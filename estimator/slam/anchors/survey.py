@@ -1,13 +1,13 @@
 """An anchor surveyed from a known track: delayed evidence in place of early decisions.
 
-Where echoes or odometry tell the track, an anchor can wait. All of its paths heard along the track, associated
-or not, are weighed together: a grid of places and heights, then annealed expectation-maximisation on place
-and squared height from the best of them. The evidence is path-wise: each path is clutter or comes from one
-of the circles, so that a feature may be hidden for a while.
+Where echoes or odometry tell the track, an anchor can wait. All of its paths heard along the track,
+associated or not, are weighed together: a grid of places and heights, then annealed expectation-maximisation
+on place and squared height from the best of them. The evidence is path-wise: each path is clutter or comes
+from one of the circles, so that a feature may be hidden for a while.
 
 Time is that of the grid, ``survey_points`` times ``height_cells`` places times ``survey_grid_epochs`` epochs
-times the circles of up to one bounce and the paths near them; and of ``survey_seeds`` refinements over all
-epochs and circles.
+times the circles of up to one bounce and the paths near them, once more at each finer spacing; and of
+``survey_seeds`` refinements over all epochs and circles.
 """
 
 from __future__ import annotations
@@ -135,7 +135,13 @@ def _weigh(
 
 @compiled
 def _grid(
-    points: Array, height2: Array, bias: float, circles: Circles, seen: Observations, rows: Index, width: float
+    points: Array,
+    height2: Array,
+    bias: float,
+    circles: Circles,
+    seen: Observations,
+    rows: Index,
+    width: float,
 ) -> tuple[Array, Index]:
     """Of each point (P, 2) the best height and its score: paths within ``width`` of a circle, softly."""
     score, cell = np.full(len(points), -1.0), np.zeros(len(points), dtype=np.int64)
@@ -179,7 +185,7 @@ def _refine(
     height_scale_m: float,
     area_m2: float,
 ) -> tuple[Array, Array, Array]:
-    """Places (S, 3), covariances and log evidence, annealed through ``widths`` metres from ``start`` (S, 3)."""
+    """Places (S, 3) annealed from ``start`` through ``widths``; their covariances and log evidence."""
     count = len(start)
     place, spread, total = start.copy(), np.empty((count, 3, 3)), np.empty(count)
     information, slope = np.empty((3, 3)), np.empty(3)
@@ -213,8 +219,41 @@ def _refine(
         )  # fmt: skip
         height = max(np.sqrt(place[s, 2]), 0.1)
         prior = np.exp(-height / height_scale_m) / height_scale_m / (2.0 * height)  # of the squared height
-        total[s] += np.log(prior / area_m2) + 1.5 * np.log(2.0 * np.pi) + 0.5 * np.log(np.linalg.det(spread[s]))
+        total[s] += (
+            np.log(prior / area_m2) + 1.5 * np.log(2.0 * np.pi) + 0.5 * np.log(np.linalg.det(spread[s]))
+        )
     return place, spread, total
+
+
+def _seeds(
+    scene: Scene,
+    centre: Array,
+    reach: float,
+    rows: Index,
+    bias_m: float,
+    height2: Array,
+    config: AnchorSearchConfig,
+) -> tuple[Array, float]:
+    """The best places (S, 3) of a grid that is made finer round its best points, and its last spacing."""
+    spacing = max(config.survey_spacing_m, reach * float(np.sqrt(np.pi / config.survey_points)))
+    line = np.arange(-reach - spacing, reach + 2.0 * spacing, spacing)
+    grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    grid = grid[np.hypot(*grid.T) <= reach + spacing] + centre
+    score, cell = _grid(grid, height2, bias_m, scene.circles, scene.seen, rows, spacing)
+    third = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), axis=-1).reshape(-1, 2)
+    while spacing > config.survey_spacing_m:
+        spacing /= 3.0
+        best = np.argsort(-score, kind="stable")[: config.survey_points // len(third)]
+        grid = (grid[best, None] + spacing * third).reshape(-1, 2)
+        score, cell = _grid(grid, height2, bias_m, scene.circles, scene.seen, rows, spacing)
+    kept: list[int] = []
+    apart = 2.0 * max(spacing, 0.5 * config.survey_spacing_m)
+    for p in np.argsort(-score, kind="stable").tolist():
+        if all(np.hypot(*(grid[p] - grid[other])) > apart for other in kept):
+            kept.append(p)
+            if len(kept) == config.survey_seeds:
+                break
+    return np.column_stack([grid[kept], height2[cell[kept]]]), spacing
 
 
 def survey_anchor(
@@ -237,21 +276,11 @@ def survey_anchor(
     """
     circles, seen, model = scene.circles, scene.seen, scene.model
     heard = np.flatnonzero(seen.paths > 0)
-    nearest = heard[np.argmin(seen.length_m[heard, 0])]
-    reach = max(float(seen.length_m[nearest, 0]) - bias_m, config.survey_spacing_m)
-    spacing = max(config.survey_spacing_m, reach * float(np.sqrt(np.pi / config.survey_points)))
-    line = np.arange(-reach - spacing, reach + 2.0 * spacing, spacing)
-    grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    grid = grid[np.hypot(*grid.T) <= reach + spacing] + seen.position_m[nearest]
+    first = seen.length_m[heard, 0] - bias_m
+    nearest = np.argsort(first, kind="stable")[int(config.survey_near_share * (heard.size - 1))]
+    reach = max(float(first[nearest]), config.survey_spacing_m)
     rows = heard[np.unique(np.linspace(0, heard.size - 1, config.survey_grid_epochs).astype(np.int64))]
-    score, cell = _grid(grid, height2, bias_m, circles, seen, rows, spacing)
-    kept: list[int] = []
-    for p in np.argsort(-score, kind="stable").tolist():
-        if all(np.hypot(*(grid[p] - grid[other])) > 2.0 * spacing for other in kept):
-            kept.append(p)
-            if len(kept) == config.survey_seeds:
-                break
-    start = np.column_stack([grid[kept], height2[cell[kept]]])
+    start, spacing = _seeds(scene, seen.position_m[heard[nearest]], reach, rows, bias_m, height2, config)
     if present is not None:
         start = np.concatenate([start, present[None]])
     pairs = circles.x.shape[1] - 1 - circles.walls
@@ -263,9 +292,11 @@ def survey_anchor(
         ]
     )
     size = np.hypot(scene.vrp_m[:, 0], scene.vrp_m[:, 1])[:, None]
-    side_of = np.column_stack([scene.vrp_m / size, 0.5 * size[:, 0]]) if len(scene.vrp_m) else np.empty((0, 3))
+    side_of = (
+        np.column_stack([scene.vrp_m / size, 0.5 * size[:, 0]]) if len(scene.vrp_m) else np.empty((0, 3))
+    )
     side = np.ones((len(seen.paths), len(scene.vrp_m)), dtype=np.bool_)
-    widths = np.array([0.5 * spacing, 0.2, 0.05, 0.0])
+    widths = np.array([max(0.5 * spacing, 0.2), 0.2, 0.05, 0.0])
     place, spread, total = _refine(
         start,
         bias_m,

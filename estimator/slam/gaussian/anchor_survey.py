@@ -1,9 +1,9 @@
 """Surveyed anchors in the joint state: those that wait, and those that turn out to stand elsewhere.
 
 While echoes tell the track, no anchor starts from an early guess: it waits until one place beats all others
-(:mod:`estimator.slam.anchors.survey`), and enters all hypotheses there; the next epochs' paths correlate it with
-the rest. Located ones are surveyed again now and then, moved where another place is clearly likelier, and
-forgotten where theirs is clearly no longer the likeliest.
+(:mod:`estimator.slam.anchors.survey`), and enters all hypotheses there; the next epochs' paths correlate it
+with the rest. Located ones are surveyed again now and then, moved where another place is clearly likelier,
+and forgotten where theirs is clearly no longer the likeliest.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _KNOWN_M2 = 1e-12  # variance of an anchor known from the start, left by roundin
 
 def is_tracked(state: GaussianState, config: AnchorSearchConfig) -> bool:
     """Whether a sweep has told of the agent's motion lately."""
-    return 0 <= state.tracked_epoch and state.epoch - state.tracked_epoch <= config.survey_patience
+    return state.tracked_epoch >= 0 and state.epoch - state.tracked_epoch <= config.survey_patience
 
 
 def forget_guesses(state: GaussianState, config: GaussianConfig) -> GaussianState:
@@ -57,7 +57,7 @@ def is_track_known(state: GaussianState, config: AnchorSearchConfig) -> bool:
 
 
 def surveyed_paths(state: GaussianState, paths: EpochPaths, config: AnchorSearchConfig) -> PathBuffer:
-    """The paths along the track with this epoch's, if the agent has come on far enough and is known to be there."""
+    """The paths along the track with this epoch's, if the agent has come on and is known to be there."""
     track, best = state.surveyed.track, state.hypotheses.best
     mean, covariance = state.hypotheses.mean[best], state.hypotheses.covariance[best]
     std = float(np.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1])))
@@ -109,7 +109,9 @@ def _survey_one(
     few = np.linspace(0, heard.size - 1, min(heard.size, search.survey_epochs))
     heard = heard[few.round().astype(np.int64)]
     place = layout.anchor(k)
-    if heard.size < search.survey_least or (located and np.trace(covariance[place, place][:2, :2]) < _KNOWN_M2):
+    if heard.size < search.survey_least or (
+        located and np.trace(covariance[place, place][:2, :2]) < _KNOWN_M2
+    ):
         return state
     gain = float(known_gain_offsets(state.losses_db, config.path_loss)[k])
     rows = log.row_of(heard)
@@ -117,9 +119,7 @@ def _survey_one(
     for epoch in heard.tolist():
         these = np.flatnonzero(own & (log.epoch == epoch))
         variance = np.maximum(log.std_m[these], config.noise.range_std_m) ** 2
-        epochs.append(
-            (log.length_m[these], variance, direct_ratio(log.excess_loss_db[these] - gain, search))
-        )
+        epochs.append((log.length_m[these], variance, direct_ratio(log.excess_loss_db[these] - gain, search)))
     seen = gathered(log.track.position_m[rows], log.track.std_m[rows] ** 2, epochs)
     walls = np.flatnonzero(hypotheses.present[best] & state.slots.confirmed)
     vrp = mean[layout.walls].reshape(-1, 2)[walls]
@@ -140,13 +140,15 @@ def _decided(
         return state
     here = state.hypotheses.mean[best, layout.anchor_xy(k)]
     moved = float(np.hypot(*(found.place[0, :2] - here)))
-    if located and moved < search.survey_apart_m:
+    known = state.hypotheses.covariance[best, layout.anchor_xy(k), layout.anchor_xy(k)]
+    spread = float(np.trace(known) + np.trace(found.covariance[0, :2, :2]))
+    if located and moved < max(search.survey_apart_m, search.search_gate_sigma * np.sqrt(spread)):
         return state
     if found.margin(0, search.survey_apart_m) > search.survey_nats:
         return _with_anchor(state, k, found.place[0], found.covariance[0], config, search)
     if located:
-        known = found.log_evidence[found.present] if found.present >= 0 else -np.inf
-        if found.log_evidence[0] - known > search.survey_nats:
+        present = found.log_evidence[found.present] if found.present >= 0 else -np.inf
+        if found.log_evidence[0] - present > search.survey_nats:
             return _without_anchor(state, k, config)
     return state
 

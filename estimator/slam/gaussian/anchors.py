@@ -32,7 +32,7 @@ def initialise_anchors(
         Limits of this epoch.
     """
     hypotheses, layout = state.hypotheses, state.layout
-    if not state.buffer.epochs or not is_due(state.epoch, state.buffer.epochs, bool(hypotheses.located.all()), phase.anchors):
+    if not is_due(state.epoch, state.buffer.epochs, bool(hypotheses.located.all()), phase.anchors):
         return state
     model = config.reduce_model(phase, layout)
 

@@ -2,8 +2,9 @@
 
 What a lost run shows: paths of located anchors that nothing explains, or that fit badly, and a pose that is
 hardly known. Running means of these give the probability that the agent is more than a metre from where it is
-thought to be: a logistic regression, fitted on runs of other buildings, with few sweeps and many, that were lost
-and were not. The protection level bounds the error with a stated risk, the chance of being wrong included.
+thought to be: a logistic regression, fitted on runs of other buildings, with few sweeps and many, that were
+lost and were not. The protection level bounds the error with a stated risk, the chance of being wrong
+included.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ class IntegrityModel(Settings):
     smoothing_epochs : float
         and the log odds after that.
     odds_offset, odds_unexplained, odds_evidence, odds_std : float
-        Log odds of being more than a metre off: at a standard deviation of 1 m; more for each unit of the share
-        of unexplained paths, of the log evidence of a path (over clutter), and of the log of the standard deviation
-        in metres. Logistic regression on 87 runs in
+        Log odds of being more than a metre off: at a standard deviation of 1 m; more for each unit of the
+        share of unexplained paths, of the log evidence of a path (over clutter), and of the log of the
+        standard deviation in metres. Logistic regression on 87 runs in
         29 buildings, a third each with a sweep at every epoch, at every second, and at the start alone.
     doubtful_probability, lost_probability : float
         Probability of being wrong from which a run is doubtful, and lost.
@@ -67,8 +68,8 @@ class Indicators(NamedTuple):
     Parameters
     ----------
     paths, unexplained, log_evidence : float
-        Paths of located anchors, those of them that nothing explains, and the log evidence of all, over "all is
-        clutter".
+        Paths of located anchors, those of them that nothing explains, and the log evidence of all, over "all
+        is clutter".
     log_odds : float
         Of being wrong, smoothed.
     """

@@ -92,8 +92,8 @@ class GaussianState(NamedTuple):
     tracked_epoch : int
         The last epoch on the way whose motion a sweep told, -1 if none did.
     echo_residuals : ndarray, shape (2,)
-        Sum of the squared residuals of flashes in range over what is claimed of them, and what it should be: of
-        the recent sweeps.
+        Sum of the squared residuals of flashes in range over what is claimed of them, and what it should be:
+        of the recent sweeps.
     indicators : Indicators
         Signs of whether the run is right (:mod:`estimator.slam.gaussian.integrity`).
     losses_db : ndarray, shape (K, 2, 2)
@@ -170,18 +170,16 @@ def load_state(data: bytes) -> GaussianState:
     """
 
     def build(columns: Columns) -> GaussianState:
-        buffers = {
-            kind: PathBuffer(
-                Track(*(columns[f"{kind}.track.{name}"] for name in Track._fields)),
-                *(columns[f"{kind}.{name}"] for name in _BUFFER),
-            )
-            for kind in ("buffer", "surveyed")
-        }
+        def buffer(kind: str) -> PathBuffer:
+            track = Track(*(columns[f"{kind}.track.{name}"] for name in Track._fields))
+            return PathBuffer(track, *(columns[f"{kind}.{name}"] for name in _BUFFER))
+
         return GaussianState(
             anchor_names=tuple(str(name) for name in columns["anchor_names"]),
             hypotheses=Hypotheses(*(columns[f"hypotheses.{name}"] for name in Hypotheses._fields)),
             slots=Slots(*(columns[f"slots.{name}"] for name in Slots._fields)),
-            **buffers,
+            buffer=buffer("buffer"),
+            surveyed=buffer("surveyed"),
             losses_db=columns["losses_db"],
             echo_residuals=columns["echo_residuals"],
             indicators=Indicators(*columns["indicators"].tolist()),

@@ -99,9 +99,18 @@ class PathBuffer(NamedTuple):
 
     def thinned(self) -> PathBuffer:
         """The buffer with every other epoch only, the last one kept."""
-        track = Track(*(column[(self.epochs - 1) % 2 :: 2] for column in self.track))
-        stay = np.isin(self.epoch, track.epoch)
-        return PathBuffer(track, *(column[stay] for column in self[1:]))
+        track, every = self.track, slice((self.epochs - 1) % 2, None, 2)
+        kept = Track(track.epoch[every], track.position_m[every], track.std_m[every])
+        stay = np.isin(self.epoch, kept.epoch)
+        return PathBuffer(
+            kept,
+            self.epoch[stay],
+            self.anchor[stay],
+            self.length_m[stay],
+            self.std_m[stay],
+            self.excess_loss_db[stay],
+            self.unassociated[stay],
+        )
 
     def with_associated(self, which: Mask | Index) -> PathBuffer:
         """The buffer with the paths ``which`` marked as associated: they start nothing any more."""

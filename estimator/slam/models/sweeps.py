@@ -24,7 +24,7 @@ _LEAST_SHARE = 1e-4  # numerical floor of the share of a variance that is a flas
 
 
 def own_covariance(flash: GaussianVrp, echo_bias_std_m: float) -> Array:
-    """Covariance (2, 2) of a flash without the error in range that it shares with all others, square metres."""
+    """Covariance (2, 2) of a flash without the error in range that all share, square metres."""
     size = float(np.linalg.norm(flash.mean_m))
     if echo_bias_std_m == 0.0 or size == 0.0:
         return flash.covariance_m2
@@ -37,8 +37,8 @@ def own_covariance(flash: GaussianVrp, echo_bias_std_m: float) -> Array:
 def flash_of(layout: Layout, mean: Array, slot: int, index: Index, value: Array) -> tuple[float, float]:
     """The flash of a wall, turned by ``theta`` into the expected gauge frame's axes, metres.
 
-    ``index`` (6,) and ``value`` (2, 6) take the derivatives of its coordinates: by agent, wall, theta and echo
-    bias.
+    ``index`` (6,) and ``value`` (2, 6) take the derivatives of its coordinates: by agent, wall, theta and
+    echo bias.
     """
     w = FIRST_ANCHOR + PER_ANCHOR * layout.anchors + 2 * slot
     px, py, vx, vy = mean[0], mean[1], mean[w], mean[w + 1]

@@ -9,14 +9,15 @@ ROOT = Path(__file__).resolve().parents[3]
 SLAM = ROOT / "estimator" / "slam"
 ALLOWED = {
     # positions in the state vector, sizes and codes
-    "models/state_vector.py": {
-        *("THETA", "ECHO_BIAS", "HEADING", "FIRST_ANCHOR", "PER_ANCHOR", "NOWHERE_M"),
-    },
+    "models/state_vector.py": {"THETA", "ECHO_BIAS", "HEADING", "FIRST_ANCHOR", "PER_ANCHOR", "NOWHERE_M"},
     "models/features.py": {"MOST_ENTRIES"},
     "models/sweeps.py": {"FLASH_ENTRIES", "_LEAST_SHARE"},
     # of angles of which nothing is known: the variance of a uniform one
     "models/directions.py": {"_ANY_HEADING_RAD2"},
     "gaussian/sweep_update.py": {"_ANY_HEADING_RAD2", "_QUARTER"},
+    # numerical floors
+    "gaussian/integrity.py": {"_LEAST_STD_M"},
+    "gaussian/anchor_survey.py": {"_KNOWN_M2"},
     # rounding at which an iteration stops
     "association/belief_propagation.py": {"ITERATIONS", "_SETTLED"},
     # what kinds of settings take
