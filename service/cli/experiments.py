@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from estimator.errors import ConfigurationError
 from estimator.experiments.catalogue import FIGURES
 
 if TYPE_CHECKING:
@@ -56,11 +57,17 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
             "reproduce fig13 --runs 100 --out figures --json",
             "reproduce fig13 --methods hybrid,hybrid+aoa --engine gaussian --out figures",
             "reproduce all --out figures",
+            "reproduce measured --data measured --json",
         )
     )
     def reproduce(
-        figure: Annotated[str, typer.Argument(help=f"{', '.join(FIGURES)}, or all.")],
-        out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for pictures, numbers and reports.")],
+        figure: Annotated[str, typer.Argument(help=f"{', '.join(FIGURES)}, all, or measured.")],
+        out: Annotated[
+            Path | None, typer.Option(metavar="DIR", help="Folder for pictures, numbers and reports.")
+        ] = None,
+        data: Annotated[
+            Path | None, typer.Option(metavar="FOLDER", help="Of measured: where the measured sets lie.")
+        ] = None,
         runs: Annotated[
             int | None, typer.Option(min=1, help="Monte-Carlo runs; by default as many as the paper's.")
         ] = None,
@@ -82,7 +89,15 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
         quiet: Quiet = False,
     ) -> None:
-        """Recompute figures of the paper: picture, numbers, and a report beside its values and the limit."""
+        """Recompute figures of the paper: picture, numbers, and a report beside its values and the limit.
+
+        With `measured`, SLAM on measured sets of others beside plain methods.
+        """
+        if figure == "measured":
+            _measured(data, methods, as_json)
+            return
+        if out is None:
+            raise ConfigurationError("--out: expected a folder for pictures, numbers and reports, got none")
         from estimator.executors import available_cores, open_workers
         from estimator.experiments import catalogue
         from estimator.experiments.report import as_text, require_places, write_report
@@ -116,6 +131,17 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         if as_json:
             printed = summaries if figure == "all" else summaries[figure]
             sys.stdout.write(json.dumps(printed, indent=2, allow_nan=False) + "\n")
+
+
+def _measured(folder: Path | None, methods: str, as_json: bool) -> None:
+    """Compare SLAM and plain methods on the measured sets of a folder."""
+    from estimator.experiments.measured.comparison import METHOD, compare, measured_table
+
+    if folder is None:
+        raise ConfigurationError("--data: expected the folder of the measured sets, got none")
+    found = compare(folder, methods or METHOD)
+    printed = json.dumps(found, indent=2, allow_nan=False) + "\n" if as_json else measured_table(found)
+    sys.stdout.write(printed)
 
 
 def _examples(*lines: str) -> str:

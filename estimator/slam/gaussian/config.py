@@ -23,6 +23,7 @@ from estimator.slam.models.clocks import Clocks
 from estimator.slam.models.directions import Directions
 from estimator.slam.models.motion import Motion
 from estimator.slam.models.noise import MeasurementNoise
+from estimator.slam.models.noise_level import NoiseLevel
 from estimator.slam.models.path_loss import PathLoss
 from estimator.slam.models.state_vector import Layout
 from estimator.slam.models.visibility import Visibility
@@ -51,6 +52,8 @@ class GaussianConfig:
         Noise of path lengths, misses, clutter, heights and gains.
     clocks : Clocks
         Biases and scales of path lengths.
+    noise_level : NoiseLevel
+        How far claimed deviations are believed.
     motion : Motion
         How the agent moves.
     visibility : Visibility
@@ -89,6 +92,7 @@ class GaussianConfig:
 
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
     clocks: Clocks = field(default_factory=Clocks)
+    noise_level: NoiseLevel = field(default_factory=NoiseLevel)
     motion: Motion = field(default_factory=Motion)
     visibility: Visibility = field(default_factory=Visibility)
     directions: Directions = field(default_factory=Directions)

@@ -50,6 +50,7 @@ from estimator.slam.models.clutter_guard import guard_clutter
 from estimator.slam.models.epoch_paths import EpochPaths, stack_paths
 from estimator.slam.models.extents import widen_extents
 from estimator.slam.models.hypotheses import log_sum_exp
+from estimator.slam.models.noise_level import believed, learned
 from estimator.slam.models.path_loss import learn_losses
 from estimator.slam.protocol import Estimate, Prior
 
@@ -95,6 +96,7 @@ def step(
     )
     epoch = guard_clutter(epoch, config.noise.most_paths)
     paths = stack_paths(epoch, state.carrier_hz, state.bearing_rad)
+    paths = believed(paths, state.levels, epoch.time_s, config.noise_level.model)
     state = _predict(state, epoch, config)
     if epoch.sweep and state.shared:
         state = _sweep(state, epoch, config, phase)
@@ -173,6 +175,18 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
     if not before.located.any():
         return state, np.zeros(paths.length_m.shape)
     clutter = clutter_density(state.buffer, layout.anchors, state.blind, config.noise, config.clutter)
+    best = before.best
+    levels = learned(
+        layout,
+        before.mean[best],
+        before.covariance[best],
+        before.located[best],
+        paths,
+        config.noise.range_std_m,
+        state.levels,
+        state.time_s,
+        config.noise_level.model,
+    )
     done = update_hypotheses(layout, *config.kernels, before, slots.confirmed, slots.owner, paths, clutter)
     after, weight = done.hypotheses, done.hypotheses.log_weight
     if not layout.shared:
@@ -215,7 +229,7 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
         )
     slots = slots._replace(extent_m=extent, detected_from_m=detected_from, log_odds=odds)
     return (
-        state.but(hypotheses=after, slots=slots, log_evidence=state.log_evidence + evidence),
+        state.but(hypotheses=after, slots=slots, levels=levels, log_evidence=state.log_evidence + evidence),
         done.explained[best],
     )
 
@@ -263,7 +277,9 @@ def _remember(
 
 
 def _bear(state: GaussianState, config: GaussianConfig, phase: Phase) -> GaussianState:
-    """New walls or virtual anchors that the buffer's paths ask for."""
+    """New walls or virtual anchors that the buffer's paths ask for, unless noise is more than claimed."""
+    if np.any(state.levels.level > config.noise_level.doubt_level):
+        return state
     if not state.shared:
         return bear_virtual_anchors(state, config, phase.max_hypotheses)
     if state.epoch % config.path_loss.loss_stride == 0:

@@ -21,6 +21,7 @@ from estimator.slam.gaussian.integrity import no_indicators
 from estimator.slam.gaussian.state import GaussianState, Slots
 from estimator.slam.models.clocks import clock_prior
 from estimator.slam.models.hypotheses import Hypotheses
+from estimator.slam.models.noise_level import first_levels
 from estimator.slam.models.path_buffer import PathBuffer
 from estimator.slam.models.path_loss import first_losses
 from estimator.slam.models.state_vector import ECHO_BIAS, HEADING, NOWHERE_M, THETA, Layout
@@ -178,6 +179,7 @@ def state_of(
         indicators=no_indicators(config.integrity),
         echo_residuals=np.full(2, config.sweeps.residual_flashes),
         losses_db=first_losses(anchors, config.noise.gain_offset_std_db, config.path_loss),
+        levels=first_levels(anchors),
     )
 
 

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from estimator.slam.archive import Columns, pack, unpack
 from estimator.slam.gaussian.integrity import Indicators
 from estimator.slam.models.hypotheses import Hypotheses
+from estimator.slam.models.noise_level import Levels
 from estimator.slam.models.path_buffer import PathBuffer, Track
 from estimator.slam.models.state_vector import Layout
 
 __all__ = ["GaussianState", "Slots", "load_state", "save_state"]
 
 Array = NDArray[np.float64]
-FORMAT = "hapslam-gaussian-state/6"
+FORMAT = "hapslam-gaussian-state/8"
 
 
 class Slots(NamedTuple):
@@ -98,6 +99,8 @@ class GaussianState(NamedTuple):
         Signs of whether the run is right (:mod:`estimator.slam.gaussian.integrity`).
     losses_db : ndarray, shape (K, 2, 2)
         Losses of each anchor's paths (:mod:`estimator.slam.models.path_loss`).
+    levels : Levels
+        What is believed of each anchor's noise.
     """
 
     anchor_names: tuple[str, ...]
@@ -116,6 +119,7 @@ class GaussianState(NamedTuple):
     echo_residuals: Array
     indicators: Indicators
     losses_db: Array
+    levels: Levels
 
     @property
     def layout(self) -> Layout:
@@ -153,6 +157,7 @@ def save_state(state: GaussianState) -> bytes:
     columns["indicators"] = np.array(state.indicators)
     columns |= {f"hypotheses.{name}": getattr(state.hypotheses, name) for name in Hypotheses._fields}
     columns |= {f"slots.{name}": getattr(state.slots, name) for name in Slots._fields}
+    columns |= {f"levels.{name}": getattr(state.levels, name) for name in Levels._fields}
     for kind in ("buffer", "surveyed"):
         buffer = getattr(state, kind)
         columns |= {f"{kind}.track.{name}": getattr(buffer.track, name) for name in Track._fields}
@@ -183,6 +188,7 @@ def load_state(data: bytes) -> GaussianState:
             losses_db=columns["losses_db"],
             echo_residuals=columns["echo_residuals"],
             indicators=Indicators(*columns["indicators"].tolist()),
+            levels=Levels(*(columns[f"levels.{name}"] for name in Levels._fields)),
             **{name: columns[name].item() for name in _SCALARS},
         )
 

@@ -113,7 +113,7 @@ def predict_hypotheses(
     mean, covariance = hypotheses.mean.copy(), hypotheses.covariance.copy()
     visibility = hypotheses.visibility.copy()
     for r in range(mean.shape[0]):
-        predict_motion(mean[r], covariance[r], step_s, driving)
+        predict_motion(mean[r], covariance[r], driving)
         predict_clocks(layout, covariance[r], step_s, clocks)
         for k in range(asked.size):
             if asked[k]:

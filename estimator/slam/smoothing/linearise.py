@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.geometry import rotate_by_angle_of, rotation_matrix
-from estimator.slam.models.motion import transition
 from estimator.slam.models.state_vector import AGENT, THETA
 from estimator.slam.models.sweeps import predict_flashes
 from estimator.slam.smoothing.arrowhead import Arrowhead
@@ -123,8 +122,8 @@ def linearise(problem: Problem, at: Trajectory, past: Past | None = None) -> Lin
 
     for step in np.unique(np.diff(problem.time_s)):
         before = np.flatnonzero(np.diff(problem.time_s) == step)
-        move = transition(float(step))
-        noise = problem.config.motion.driving(float(step)).covariance
+        driving = problem.config.motion.driving(float(step))
+        move, noise = driving.transition, driving.covariance
         drive = np.linalg.inv(noise + JITTER_M2 * np.eye(_AGENT))
         gap = at.agent[before + 1] - at.agent[before] @ move.T
         chain[before] += move.T @ drive @ move

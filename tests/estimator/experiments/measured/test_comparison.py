@@ -1,0 +1,94 @@
+"""Measured sets beside plain methods: made ones always, those of others where they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.errors import FileFormatError
+from estimator.experiments.measured.comparison import compare, measured_table
+from estimator.experiments.measured.plain import kalman_track, least_squares_track
+from estimator.readers.range_log import RangeLog, measurements_of
+
+SHARED = Path("/work/shared/benchmarks/measured")
+PLACES = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 8.0], [0.0, 8.0]])
+NAMES = {
+    "method",
+    "mae_m",
+    "rmse_m",
+    "nees_per_dim",
+    "lost",
+    "flagged",
+    "false_features",
+    "ekf_mae_m",
+    "least_squares_mae_m",
+}
+
+
+def track_at(time_s):
+    """A robot that goes round."""
+    return np.stack([5.0 + 3.0 * np.cos(0.15 * time_s), 4.0 + 2.0 * np.sin(0.15 * time_s)], axis=1)
+
+
+def write_labyrinth(folder, bias_m=0.0, seed=3, count=600):
+    """A set as the one of the labyrinth: four anchors asked in turn."""
+    rng = np.random.default_rng(seed)
+    time = 0.125 * np.arange(1, count + 1)
+    true, lines = track_at(time), []
+    for n, t in enumerate(time):
+        k = n % 4
+        length = np.linalg.norm(true[n] - PLACES[k]) + bias_m + 0.1 * rng.normal()
+        lines.append(f"range2 {t} {length} 0.01 {PLACES[k, 0]} {PLACES[k, 1]} {100 + k} 0")
+    folder.mkdir(parents=True)
+    (folder / "Indoor_UWB_Input.txt").write_text("\n".join(lines) + "\n")
+    rows = [f"point2 {t} {x} {y} 0 0 0 0" for t, (x, y) in zip(time, true, strict=True)]
+    (folder / "Indoor_UWB_GT.txt").write_text("\n".join(rows) + "\n")
+
+
+@pytest.mark.parametrize("bias_m", [0.0, 0.4])
+def test_a_biased_set_is_tracked_honestly(tmp_path, bias_m):
+    """With a bias the plain filter is off by it; SLAM is not, and knows how well it does."""
+    write_labyrinth(tmp_path / "labyrinth-uwb", bias_m)
+    found = compare(tmp_path)
+    assert set(found) == {"labyrinth"}
+    one = found["labyrinth"]
+    assert set(one) == NAMES
+    assert one["mae_m"] < 0.15
+    assert 0.3 < one["nees_per_dim"] < 2.0
+    assert not one["lost"]
+    assert not one["flagged"]
+    assert one["false_features"] == 0
+    assert (one["ekf_mae_m"] > one["mae_m"]) == (bias_m > 0.0)
+    table = measured_table(found)
+    assert f"{one['mae_m']:.3f}" in table
+
+
+def test_plain_methods_are_right_where_nothing_is_biased():
+    """All anchors at once, exact ranges: least squares and the filter are on the track."""
+    time = 0.2 * np.arange(200)
+    true = track_at(time)
+    length = np.linalg.norm(true[:, None] - PLACES, axis=2)
+    log = RangeLog(
+        np.repeat(time, 4), np.tile(np.arange(4), 200), length.ravel(), ("a", "b", "c", "d"), anchors_m=PLACES
+    )
+    measured = measurements_of(log, start_m=true[0], range_std_m=0.05)
+    np.testing.assert_allclose(least_squares_track(measured) + true[0], true, atol=1e-3)
+    assert np.abs(kalman_track(measured)[20:] + true[0] - true[20:]).max() < 0.03
+
+
+def test_a_folder_without_sets_is_refused(tmp_path):
+    """The message says which folders there may be."""
+    with pytest.raises(FileFormatError, match="expected folders among lias-planar-uwb, labyrinth-uwb"):
+        compare(tmp_path)
+
+
+@pytest.mark.skipif(not (SHARED / "labyrinth-uwb").is_dir(), reason="the measured sets are not here")
+def test_the_labyrinth_of_others(tmp_path):
+    """Ranges of a real robot: better than the plain filter, and honest."""
+    (tmp_path / "labyrinth-uwb").symlink_to(SHARED / "labyrinth-uwb")
+    one = compare(tmp_path)["labyrinth"]
+    assert one["mae_m"] < 0.18 < one["ekf_mae_m"]
+    assert 0.5 < one["nees_per_dim"] < 2.0
+    assert one["false_features"] == 0
