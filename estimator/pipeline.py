@@ -18,8 +18,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from estimator.dataset import open_dataset, require_absent, write_text
-from estimator.errors import FileFormatError
+from estimator.errors import FileFormatError, InputError
 from estimator.json_objects import json_object
 from estimator.measurements import load_measurements, save_measurements
 from estimator.result import SlamResult, load_result, save_result
@@ -29,7 +31,15 @@ if TYPE_CHECKING:
 
     from estimator.evaluation.comparison import EvaluationConfig
 
-__all__ = ["evaluate_file", "extract_file", "find_truth", "plot_file", "run_record", "slam_file"]
+__all__ = [
+    "evaluate_file",
+    "evaluate_track_file",
+    "extract_file",
+    "find_truth",
+    "plot_file",
+    "run_record",
+    "slam_file",
+]
 
 Progress = Callable[..., None]
 
@@ -142,6 +152,53 @@ def evaluate_file(
     return evaluate(
         loaded, find_truth(result, loaded, truth), config, run_record(result).get("seconds_per_epoch")
     )
+
+
+def evaluate_track_file(
+    result: Path, track: Path, align: str = "start", anchors: Path | None = None, clock_offset_s: float = 0.0
+) -> dict[str, Any]:
+    """Compare a result file with a true track; see :func:`estimator.evaluation.track_truth.evaluate_track`.
+
+    Parameters
+    ----------
+    result : Path
+        Result file.
+    track : Path
+        The true track (:func:`estimator.readers.trajectories.read_track`), in the frame of the known anchors.
+        Its times are those of the measurements, or begin at zero with the result.
+    align : str
+        ``start``, ``rotation`` or ``se2``.
+    anchors : Path, optional
+        True places of the anchors: columns ``anchor``, ``x``, ``y``.
+    clock_offset_s : float
+        By how much the clock of the truth is ahead, seconds.
+
+    Raises
+    ------
+    FileFormatError
+        If a file is missing or damaged.
+    InputError
+        If the times do not meet, an anchor is missing, or the alignment is unknown.
+    """
+    from estimator.evaluation.track_truth import evaluate_track
+    from estimator.readers.csv_ranges import read_anchors
+    from estimator.readers.trajectories import read_track
+
+    loaded, true = load_result(result), read_track(track)
+    stated = loaded.settings.get("measurements", {})
+    start = np.array(stated.get("start_m", (0.0, 0.0)), dtype=np.float64)
+    first = float(stated.get("first_time_s", 0.0))
+    if true.time_s[-1] < first:  # it begins at zero
+        first = 0.0
+    places = None
+    if anchors is not None:
+        names, known = read_anchors(anchors)
+        missing = [name for name in loaded.anchors if name not in names]
+        if missing:
+            raise InputError(f"{anchors}: expected the anchors of the result, {missing[0]!r} is missing")
+        places = known[[names.index(name) for name in loaded.anchors]]
+    at_epochs = true.at(loaded.time_s + first + clock_offset_s)
+    return evaluate_track(loaded, at_epochs, start, align, places)
 
 
 def plot_file(result: Path, out: Path, truth: Path | None = None, title: str | None = None) -> str | None:

@@ -163,7 +163,11 @@ def measurements_of(
         walls=(),
         epochs=_epochs(log, std),
         carrier_hz=carrier_hz,
-        settings={"measurement_model": believed, "start_m": start.place_m.tolist()},
+        settings={
+            "measurement_model": believed,
+            "start_m": start.place_m.tolist(),
+            "first_time_s": float(log.time_s.min()),
+        },
         known_anchors_m=places - start.place_m,
     )
 

@@ -9,7 +9,7 @@ other; and ``offsets`` (T K + 1,), so that those of epoch ``t`` and anchor ``k``
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import FileFormatError, InputError
 from estimator.measurements import AnchorPaths, Epoch, MeasurementSet
+from estimator.readers.range_log import RangeLog
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 
-__all__ = ["load_ranges"]
+__all__ = ["load_ranges", "read_range_set"]
 
 _SHORTEST_M = 1e-3  # noise can make a range negative, which no path is
 
@@ -101,6 +102,41 @@ def load_ranges(
         settings={"measurement_model": flat | dict(model or {}), "start_m": start.tolist()},
         known_anchors_m=places - start,
     )
+
+
+def read_range_set(path: Path, names: Sequence[str], step_s: float = 1.0) -> RangeLog:
+    """Read a range set as a log: all anchors were asked at every epoch.
+
+    Parameters
+    ----------
+    path : Path
+        The archive, layout ``ranges-npz``.
+    names : sequence of str
+        The K anchors.
+    step_s : float
+        Time between epochs, seconds.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, damaged or of another layout.
+    InputError
+        If the step is no positive number, or no anchor is named.
+    """
+    if not names or not 0.0 < step_s < np.inf:
+        raise InputError(
+            f"names, step_s: expected anchors and a positive step, got {len(names)} and {step_s}"
+        )
+    ranges, offsets = _arrays(Path(path), len(names))
+    count = np.diff(offsets)
+    cell = np.repeat(np.arange(count.size), np.maximum(count, 1))
+    length = np.full(cell.size, np.nan)
+    length[np.repeat(count > 0, np.maximum(count, 1))] = ranges
+    epoch, anchor = np.divmod(cell, len(names))
+    try:
+        return RangeLog(step_s * epoch, anchor, length, tuple(names))
+    except InputError as error:
+        raise FileFormatError(f"{path}: {error}") from error
 
 
 def _arrays(path: Path, anchors: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -203,22 +203,46 @@ def info(dataset: Dataset, as_json: Json = False) -> None:
 
 
 def export(
-    dataset: Dataset,
-    to: Annotated[str, typer.Option(help="mat (MATLAB, Octave) or deepmimo (a scenario's folder).")],
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to make.", callback=made_parents)],
+    dataset: Annotated[Path, typer.Argument(help="Dataset folder; of tum a result file.")],
+    to: Annotated[
+        str,
+        typer.Option(help="mat (MATLAB, Octave) or deepmimo (a scenario's folder); tum: a result's track."),
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder to make; of tum a file.", callback=made_parents)
+    ],
 ) -> None:
-    """Write a dataset for other software."""
+    """Write a dataset, or the track of a result, for other software."""
+    if to == "tum":
+        _export_track(dataset, out)
+        return
     from estimator.dataset import open_dataset
     from raytrace.dataset.export_deepmimo import export_deepmimo
     from raytrace.dataset.export_mat import export_mat
     from raytrace.dataset.journal import require_place
 
     if to not in _LAYOUTS:
-        raise ConfigurationError(f"--to: expected one of {', '.join(_LAYOUTS)}, got {to!r}")
+        raise ConfigurationError(f"--to: expected one of {', '.join(_LAYOUTS)}, tum, got {to!r}")
     opened = open_dataset(dataset)
     require_place(out)
     out.mkdir()
     (export_mat if to == "mat" else export_deepmimo)(opened, out)
+
+
+def _export_track(result: Path, out: Path) -> None:
+    """Write the track of a result as TUM's text, in the frame of the known anchors where they fixed it."""
+    from estimator.dataset import require_absent
+    from estimator.result import load_result
+    from service.session.trajectories import tum_text
+
+    require_absent(out)
+    loaded = load_result(result)
+    stated = loaded.settings.get("measurements", {})
+    x, y = stated.get("start_m", (0.0, 0.0))
+    first = float(stated.get("first_time_s", 0.0))
+    places = zip(loaded.time_s.tolist(), loaded.agent_mean[:, :2].tolist(), strict=True)
+    rows = ((first + t, x + place[0], y + place[1]) for t, place in places)
+    out.write_text(tum_text(rows), encoding="utf-8")
 
 
 def _part(text: str) -> tuple[int, int]:

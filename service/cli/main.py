@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from estimator.errors import HapslamError
+from estimator.errors import ConfigurationError, HapslamError
 from service.cli.bench import register as register_bench
 from service.cli.console import made_parents, plain_console
 from service.cli.convert import register as register_convert
@@ -171,12 +171,36 @@ def slam(
 def evaluate(
     result: Annotated[Path, typer.Argument(help="Result file.")],
     truth: Truth = None,
+    truth_track: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="True track instead: TUM, or columns time, x, y."),
+    ] = None,
+    align: Annotated[
+        str, typer.Option(help="Taken off before: start (nothing more), rotation about it, se2.")
+    ] = "start",
+    truth_anchors: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="True anchors: columns anchor, x, y.")
+    ] = None,
+    clock_offset: Annotated[
+        float, typer.Option(help="By how much the clock of the true track is ahead, seconds.")
+    ] = 0.0,
     as_json: Json = False,
 ) -> None:
-    """Compare a result with the truth of its dataset."""
-    from estimator.pipeline import evaluate_file
-    from service.cli.report import print_evaluation
+    """Compare a result with the truth of its dataset, or with a true track."""
+    from estimator.pipeline import evaluate_file, evaluate_track_file
+    from service.cli.report import print_evaluation, print_track_evaluation
 
+    if truth_track is not None:
+        numbers = evaluate_track_file(result, truth_track, align, truth_anchors, clock_offset)
+        if as_json:
+            _print_json(numbers)
+        else:
+            print_track_evaluation(numbers, plain_console())
+        return
+    if align != "start" or truth_anchors is not None or clock_offset != 0.0:
+        raise ConfigurationError(
+            "--align, --truth-anchors, --clock-offset: expected with --truth-track alone"
+        )
     numbers = evaluate_file(result, truth)
     if as_json:
         _print_json(numbers)

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["print_evaluation", "print_inventory"]
+__all__ = ["print_evaluation", "print_inventory", "print_track_evaluation"]
 
 
 def print_evaluation(numbers: Mapping[str, Any], console: Console, **more: object) -> None:
@@ -19,6 +19,36 @@ def print_evaluation(numbers: Mapping[str, Any], console: Console, **more: objec
     table.add_column(overflow="fold")
     for name, value in [*_rows(numbers), *more.items()]:
         table.add_row(Text(name), Text(str(value)))
+    console.print(table)
+
+
+def print_track_evaluation(numbers: Mapping[str, Any], console: Console) -> None:
+    """Print what :func:`estimator.evaluation.track_truth.evaluate_track` gives."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    nees, relative = numbers["nees_position_per_dim"], numbers["relative_rmse_m"]
+    anchors = numbers["anchors_error_m"] or []
+    rows = [
+        (
+            "position error",
+            f"{numbers['position_mae_m']:.3f} m mean, {numbers['position_rmse_m']:.3f} m RMSE (ATE), "
+            f"{numbers['position_final_m']:.3f} m at the end ({numbers['epochs']} epochs, "
+            f"aligned: {numbers['align']})",
+        ),
+        (
+            "  rotation removed",
+            f"{numbers['derotated_rmse_m']:.3f} m RMSE "
+            f"(the map is turned by {1e3 * numbers['rotation_rad']:.2f} mrad)",
+        ),
+        ("  SE(2) removed", f"{numbers['se2_rmse_m']:.3f} m RMSE"),
+        ("relative error", "none" if relative is None else f"{relative:.3f} m RMSE of motions of 1 s (RPE)"),
+        ("consistency", "none" if nees is None else f"NEES {nees:.2f} per dimension (1 is honest)"),
+    ]
+    if anchors:
+        rows.append(("anchors", ", ".join("not located" if e is None else f"{e:.3f} m" for e in anchors)))
+    for name, value in rows:
+        table.add_row(Text(name), Text(value))
     console.print(table)
 
 

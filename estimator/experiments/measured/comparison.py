@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from estimator.evaluation.metrics import nees
 from estimator.experiments.measured.plain import kalman_track, least_squares_track
 from estimator.experiments.measured.sets import MeasuredRun, measured_runs
-from estimator.result import SlamResult
 from estimator.slam.run import run_slam
 
 __all__ = ["METHOD", "compare", "measured_table"]
@@ -38,9 +37,9 @@ def compare(folder: Path, method: str = METHOD) -> dict[str, dict[str, Any]]:
     dict
         For each run, JSON types only: ``method``; ``mae_m``, ``rmse_m``: errors of the position over all
         epochs with truth; ``nees_per_dim``: mean of NEES / 2; ``lost``: whether the RMSE is beyond use;
-        ``flagged``: whether the run says so itself; ``false_features``: walls found, of which measured sets
-        of ranges tell none; ``ekf_mae_m``, ``least_squares_mae_m``: of plain methods (null where there is
-        none).
+        ``flagged``: whether the run itself says at its end that it may not be relied on;
+        ``false_features``: walls found, of which ranges of lines of sight tell none; ``ekf_mae_m``,
+        ``least_squares_mae_m``: of plain methods (null where there is none).
 
     Raises
     ------
@@ -67,18 +66,11 @@ def _compared(run: MeasuredRun, method: str) -> dict[str, Any]:
         "rmse_m": rmse,
         "nees_per_dim": float(nees(error[known], result.agent_covariance[known, :2, :2]).mean()),
         "lost": bool(rmse > _LOST_SHARE * extent),
-        "flagged": _flagged(result),
+        "flagged": bool(result.flagged[-1]),
         "false_features": int(result.wall_valid[-1].sum()),
         "ekf_mae_m": _mean_error(kalman_track(measurements) + run.start_m, truth),
         "least_squares_mae_m": _mean_error(plain, truth),
     }
-
-
-def _flagged(result: SlamResult) -> bool:
-    """Whether a result says at its end that it is not to be believed."""
-    extent = np.ptp(result.agent_mean[:, :2], axis=0)
-    spread = np.sqrt(np.linalg.eigvalsh(result.agent_covariance[-1, :2, :2])[-1])
-    return bool(spread > _LOST_SHARE * np.linalg.norm(extent))
 
 
 def _clock_offset(run: MeasuredRun, time_s: Array, plain: Array) -> float:
