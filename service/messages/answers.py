@@ -80,6 +80,17 @@ class Candidate(Answer):
     walls: list[CandidateWall]
 
 
+class Integrity(Answer):
+    """Whether the estimate may be relied on."""
+
+    state: Literal["ok", "doubtful", "lost", "unknown"]
+    probability: float | None = Field(
+        description="That the agent is within a metre of where it is thought to be."
+    )
+    protection_level_m: float | None = Field(description="The error is smaller with 99.9 % probability.")
+    reasons: list[str] = Field(description="What speaks against it.")
+
+
 class State(Answer):
     """Agent, anchors and walls after an epoch."""
 
@@ -92,6 +103,7 @@ class State(Answer):
     hypotheses: int
     candidates: list[Candidate]
     log_evidence: float
+    integrity: Integrity
 
 
 class EpochsAnswer(Answer):

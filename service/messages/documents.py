@@ -8,6 +8,7 @@ compared and folded in this form.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from typing import Any
@@ -16,7 +17,7 @@ import numpy as np
 
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp
 from estimator.slam import Estimate
-from estimator.slam.protocol import Candidate
+from estimator.slam.protocol import Candidate, Integrity
 
 __all__ = [
     "dump",
@@ -124,7 +125,30 @@ def estimate_document(
         "hypotheses": int(estimate.hypotheses),
         "candidates": [_candidate(entry) for entry in estimate.candidates],
         "log_evidence": float(estimate.log_evidence),
+        "integrity": _integrity(estimate.integrity),
     }
+
+
+def _integrity(integrity: Integrity) -> dict[str, Any]:
+    return {
+        "state": integrity.state,
+        "probability": _known(integrity.probability),
+        "protection_level_m": _known(integrity.protection_level_m),
+        "reasons": list(integrity.reasons),
+    }
+
+
+def _known(value: float) -> float | None:
+    """A number, None where it is NaN: not known."""
+    return None if math.isnan(value) else float(value)
+
+
+def _read_integrity(document: dict[str, Any]) -> Integrity:
+    numbers = {
+        name: math.nan if document[name] is None else document[name]
+        for name in ("probability", "protection_level_m")
+    }
+    return Integrity(state=document["state"], reasons=tuple(document["reasons"]), **numbers)
 
 
 def _candidate(candidate: Candidate) -> dict[str, Any]:
@@ -169,4 +193,5 @@ def read_estimate(document: dict[str, Any]) -> Estimate:
         anchor_existence=np.array([anchor["existence"] for anchor in anchors], dtype=np.float64),
         wall_existence=np.array([wall["existence"] for wall in walls], dtype=np.float64),
         candidates=tuple(_read_candidate(entry) for entry in document["candidates"]),
+        integrity=_read_integrity(document["integrity"]) if "integrity" in document else Integrity(),
     )

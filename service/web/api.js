@@ -37,9 +37,25 @@ export async function send(method, path, body) {
   return answer.status === 204 ? null : answer.json();
 }
 
-export async function upload(path, file) {
-  const binary = { "Content-Type": "application/octet-stream" };
-  return (await checked(await fetch(path, { method: "POST", body: file, headers: headers(binary) }))).json();
+// Sends a file; `told` is called with the share that was sent.
+export function upload(path, file, told) {
+  return new Promise((resolve, reject) => {
+    const request = new XMLHttpRequest();
+    request.open("POST", path);
+    const all = headers({ "Content-Type": "application/octet-stream" });
+    for (const [name, value] of Object.entries(all)) request.setRequestHeader(name, value);
+    request.upload.onprogress = (event) => told(event.loaded / (event.total || 1));
+    request.onerror = () => reject(new Problem(0, "The service could not be reached."));
+    request.onload = () => {
+      let body = {};
+      try {
+        body = JSON.parse(request.responseText);
+      } catch { /* an answer of a proxy, perhaps */ }
+      if (request.status < 300) resolve(body);
+      else reject(new Problem(request.status, body.detail ?? request.statusText));
+    };
+    request.send(file);
+  });
 }
 
 export async function download(path, name) {
@@ -88,7 +104,7 @@ async function* parts(body) {
 // Server-sent events through fetch, so that a key can be sent along. Comes back after a break with
 // the epoch that is next, so nothing is missed. A browser has six connections to a server for all its
 // tabs: only a tab that is seen keeps a stream open, a hidden one asks now and then.
-export async function* events(path, first, signal) {
+export async function* events(path, first, signal, link) {
   let next = first;
   while (!signal.aborted) {
     const hidden = document.hidden, stop = new AbortController();
@@ -98,6 +114,7 @@ export async function* events(path, first, signal) {
     try {
       const query = `first=${next}&follow=${!hidden}`;
       const answer = await checked(await fetch(`${path}?${query}`, { headers: headers(), signal: stop.signal }));
+      link(true);
       for await (const event of parts(answer.body)) {
         if (event.event === "deleted") return;
         if (event.event === "epoch") {
@@ -109,6 +126,7 @@ export async function* events(path, first, signal) {
     } catch (error) {
       if (signal.aborted) return;
       if (error instanceof Problem && error.status < 500 && error.status !== 429) throw error;
+      if (error.name !== "AbortError") link(false);
     } finally {
       signal.removeEventListener("abort", end);
       document.removeEventListener("visibilitychange", end);

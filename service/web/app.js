@@ -7,8 +7,16 @@ const $ = (id) => document.getElementById(id);
 let view = null;
 let next = null;
 
+// What an error means to whoever looks at the page; the service's own words where they say more.
+function words(error) {
+  if (error instanceof TypeError) return "The service cannot be reached. Does it run?";
+  if (error?.status === 401) return "This service wants an API key, or the one given is not in force.";
+  if (error?.status === 404) return "There is no such session, or it belongs to another key.";
+  return error?.message ?? error;
+}
+
 function notice(error, calm = false) {
-  $("notice").textContent = error?.message ?? error;
+  $("notice").textContent = words(error);
   $("notice").className = calm ? "calm" : "";
   $("notice").hidden = !error;
   if (error instanceof Problem && error.status === 401) askKey();
@@ -29,6 +37,7 @@ function row(session) {
   const link = document.createElement("a");
   link.href = `#/s/${session.id}`;
   link.textContent = session.name || session.id.slice(0, 8);
+  link.title = link.textContent;
   const remove = document.createElement("button");
   remove.textContent = "Delete";
   remove.onclick = async () => {
@@ -51,6 +60,7 @@ async function route() {
     key.set(match[2]);
     history.replaceState(null, "", `#/s/${match[1]}`);
   }
+  document.title = "hapslam";
   $("list").hidden = Boolean(match);
   $("session").hidden = !match;
   try {
@@ -62,6 +72,7 @@ async function route() {
       await showList();
     }
   } catch (error) {
+    if (match) $("session").hidden = true;
     notice(error);
   }
 }
@@ -88,9 +99,10 @@ async function runExample() {
 
 async function take(file) {
   if (!file) return;
-  notice(`Taking in ${file.name} ...`, true);
+  const told = (share) => notice(share < 1 ? `Sending ${file.name}: ${Math.round(100 * share)} %` : `Taking in ${file.name} ...`, true);
+  told(0);
   try {
-    const session = await upload(`/v1/uploads?name=${encodeURIComponent(file.name.slice(0, 200))}`, file);
+    const session = await upload(`/v1/uploads?name=${encodeURIComponent(file.name.slice(0, 200))}`, file, told);
     location.hash = `#/s/${session.id}`;
   } catch (error) {
     notice(error);
@@ -125,6 +137,7 @@ $("theme").onclick = () => {
   localStorage.setItem("hapslam-theme", document.documentElement.dataset.theme);
   view?.restyle();
 };
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view?.restyle());
 if (localStorage.getItem("hapslam-theme")) document.documentElement.dataset.theme = localStorage.getItem("hapslam-theme");
 addEventListener("hashchange", route);
 route();

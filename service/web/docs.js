@@ -12,6 +12,64 @@ const resolved = (schema) => {
   return name ? document_.components.schemas[name] : schema;
 };
 
+const path_streams = (path) => path.endsWith("/events"); // which does not end
+
+// A schema's type in few words.
+function typed(schema) {
+  if (!schema) return "anything";
+  if (schema.$ref) return schema.$ref.split("/").pop();
+  const options = schema.anyOf ?? schema.oneOf;
+  if (options) return options.map(typed).join(" or ");
+  if (schema.enum) return schema.enum.map((value) => JSON.stringify(value)).join(" or ");
+  if (schema.type === "array") return `list of ${typed(schema.items)}`;
+  const range = [["minimum", "≥"], ["exclusiveMinimum", ">"], ["maximum", "≤"], ["maxLength", "length ≤"]]
+    .filter(([name]) => schema[name] !== undefined).map(([name, sign]) => `${sign} ${schema[name]}`);
+  return [schema.type ?? "anything", ...range].join(", ");
+}
+
+// The fields of an object, with types and meaning.
+function fields(schema) {
+  const list = made("ul", undefined, "fields");
+  for (const [name, field] of Object.entries(resolved(schema)?.properties ?? {})) {
+    const item = made("li");
+    item.append(made("code", name), ` ${typed(field)}${field.description ? `: ${field.description}` : ""}`);
+    list.append(item);
+  }
+  return list;
+}
+
+// A form that asks the route, with the key of the page.
+function trial(path, parameters) {
+  const form = made("form", undefined, "try"), answer = made("pre");
+  for (const parameter of parameters) {
+    const label = made("label", `${parameter.name} `), input = made("input");
+    input.name = parameter.name;
+    input.required = Boolean(parameter.required);
+    label.append(input);
+    form.append(label);
+  }
+  form.append(made("button", "Try"));
+  answer.hidden = true;
+  form.onsubmit = async (event) => {
+    event.preventDefault();
+    let place = path;
+    const query = new URLSearchParams();
+    for (const parameter of parameters) {
+      const value = form.elements[parameter.name].value;
+      if (parameter.in === "path") place = place.replace(`{${parameter.name}}`, encodeURIComponent(value));
+      else if (value) query.set(parameter.name, value);
+    }
+    const key = sessionStorage.getItem("hapslam-key");
+    const reply = await fetch(`${place}${query.size ? `?${query}` : ""}`, key ? { headers: { Authorization: `Bearer ${key}` } } : {});
+    const text = await reply.text();
+    answer.hidden = false;
+    answer.textContent = `${reply.status}\n${text.slice(0, 5000)}`;
+  };
+  const box = made("div");
+  box.append(form, answer);
+  return box;
+}
+
 document.getElementById("title").textContent = `${document_.info.title} ${document_.info.version}`;
 document.getElementById("about").textContent = document_.info.description;
 const groups = new Map();
@@ -31,13 +89,19 @@ for (const [group, routes] of groups) {
     details.append(summary, made("p", route.description ?? ""));
     for (const parameter of route.parameters ?? []) {
       if (parameter.in === "path") continue;
-      details.append(made("p", `${parameter.name} (${parameter.in}${parameter.required ? ", required" : ""}): ${parameter.description ?? ""}`));
+      const where = `${parameter.in}${parameter.required ? ", required" : ""}`;
+      details.append(made("p", `${parameter.name} (${where}; ${typed(parameter.schema)}): ${parameter.description ?? ""}`));
     }
     const body = resolved(route.requestBody?.content?.["application/json"]?.schema);
     for (const example of body?.examples ?? []) details.append(made("pre", JSON.stringify(example, null, 2)));
-    if (body && !body.examples) details.append(made("pre", JSON.stringify(body, null, 2)));
+    if (body) details.append(made("p", "Body:"), fields(body));
+    const good = Object.entries(route.responses).find(([status]) => status.startsWith("2"))?.[1];
+    const given = good?.content?.["application/json"]?.schema;
+    if (given) details.append(made("p", `Answer: ${typed(given)}`), fields(given));
     const answers = Object.entries(route.responses).map(([status, answer]) => `${status} ${answer.description}`);
     details.append(made("p", `Answers: ${answers.join("; ")}.`));
+    const asked = (route.parameters ?? []).filter((parameter) => parameter.in !== "header");
+    if (route.method === "get" && !path_streams(route.path)) details.append(trial(route.path, asked));
     section.append(details);
   }
   document.getElementById("routes").append(section);

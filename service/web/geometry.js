@@ -44,18 +44,18 @@ export function across(vrp, covariance, t) {
 // From where to where on a wall the estimated reflection points lie, given anchors and track.
 export function seen(vrp, anchors, track) {
   const { normal, tangent } = line(vrp), half = norm(vrp) / 2;
+  const along = track.map((p) => dot(p, tangent)), before = track.map((p) => half - dot(p, normal));
   const openings = [];
   for (let i = 1; i < track.length; i++) {
-    if ((dot(track[i], normal) < half) !== (dot(track[i - 1], normal) < half)) openings.push(dot(track[i], tangent));
+    if ((before[i] > 0) !== (before[i - 1] > 0)) openings.push(along[i]);
   }
   let low = Infinity, high = -Infinity;
   for (const anchor of anchors) {
-    const image = add(anchor, scale(normal, 2 * (half - dot(anchor, normal))));
-    const behind = dot(image, normal) - half;
-    for (const agent of track) {
-      const before = half - dot(agent, normal);
-      if (behind * before <= 0) continue;
-      const t = dot(add(image, scale(add(agent, scale(image, -1)), behind / (behind + before))), tangent);
+    const behind = half - dot(anchor, normal), at = dot(anchor, tangent); // of the anchor's image
+    for (let i = 0; i < track.length; i++) {
+      if (behind * before[i] <= 0) continue;
+      const t = at + ((along[i] - at) * behind) / (behind + before[i]);
+      if (t >= low && t <= high) continue;
       if (openings.some((opening) => Math.abs(t - opening) < 8)) continue;
       low = Math.min(low, t);
       high = Math.max(high, t);

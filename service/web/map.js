@@ -24,6 +24,10 @@ export class MapView {
       this.closer(Math.exp(-event.deltaY * 0.0015), [event.offsetX, event.offsetY]);
     }, { passive: false });
     canvas.addEventListener("keydown", (event) => this.type(event));
+    canvas.addEventListener("pointerleave", () => this.onHover?.(null));
+    canvas.addEventListener("click", (event) => {
+      if (!this.dragged) this.onPick?.(this.under([event.offsetX, event.offsetY]));
+    });
   }
 
   show(scene) {
@@ -43,12 +47,17 @@ export class MapView {
 
   press(event) {
     this.canvas.setPointerCapture(event.pointerId);
+    this.dragged = false;
     this.pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
   }
 
   move(event) {
     const before = this.pointers.get(event.pointerId);
-    if (!before) return;
+    if (!before) {
+      this.onHover?.(this.under([event.offsetX, event.offsetY]));
+      return;
+    }
+    if (Math.hypot(event.offsetX - before[0], event.offsetY - before[1]) > 2) this.dragged = true;
     const now = [event.offsetX, event.offsetY];
     const other = [...this.pointers].find(([id]) => id !== event.pointerId)?.[1];
     this.pointers.set(event.pointerId, now);
@@ -111,11 +120,19 @@ export class MapView {
   }
 
   sampled(track, most = 400) {
-    const every = Math.max(1, Math.ceil(track.length / most));
-    return track.filter((_, i) => i % every === 0 || i === track.length - 1);
+    const every = Math.max(1, Math.ceil(track.length / most)), kept = [];
+    for (let i = 0; i < track.length - 1; i += every) kept.push(track[i]);
+    if (track.length) kept.push(track[track.length - 1]);
+    return kept;
   }
 
+  // Walls with their ends, found once for a scene.
   walls() {
+    this.scene.walls ??= this.placedWalls();
+    return this.scene.walls;
+  }
+
+  placedWalls() {
     const { state, track, place } = this.scene;
     if (!state) return [];
     const anchors = state.anchors.filter((anchor) => anchor.located).map((anchor) => anchor.position_m);
@@ -126,6 +143,28 @@ export class MapView {
       const at = (t, off = 0) => place(add(add(foot, scale(tangent, t)), scale(normal, off)));
       return { ...wall, low, high, at, ends: [at(low), at(high)] };
     });
+  }
+
+  // What lies under a pixel: an anchor, the nearest epoch of the track, a wall, or nothing; and where that is.
+  under(pixel) {
+    const found = { at: this.toMetres(pixel) };
+    if (!this.scene?.state) return found;
+    const { state, track, place } = this.scene, off = (p) => Math.hypot(p[0] - pixel[0], p[1] - pixel[1]);
+    for (const anchor of state.anchors) {
+      if (anchor.located && off(this.toPixels(place(anchor.position_m))) < 12) return { ...found, anchor };
+    }
+    let nearest = 8;
+    for (let i = 0; i < track.length; i++) {
+      const distance = off(this.toPixels(place(track[i])));
+      if (distance < nearest) [nearest, found.epoch] = [distance, i];
+    }
+    if (found.epoch !== undefined) return found;
+    for (const wall of this.seenWalls ?? []) {
+      const [a, b] = wall.ends.map((p) => this.toPixels(p)), d = [b[0] - a[0], b[1] - a[1]];
+      const t = Math.min(Math.max(((pixel[0] - a[0]) * d[0] + (pixel[1] - a[1]) * d[1]) / (d[0] ** 2 + d[1] ** 2 || 1), 0), 1);
+      if (off([a[0] + t * d[0], a[1] + t * d[1]]) < 8) return { ...found, wall };
+    }
+    return found;
   }
 
   toPixels(p) {
@@ -188,17 +227,42 @@ export class MapView {
     c.stroke();
   }
 
-  // The track in pixels, without what lies on one and the same of them.
-  thinned(track) {
+  // The track from an epoch on in pixels, without what lies on one and the same of them.
+  thinned(track, first) {
     const kept = [];
     let last = [Infinity, Infinity];
-    for (const [i, p] of track.entries()) {
-      const at = this.toPixels(this.scene.place(p));
+    for (let i = first; i < track.length; i++) {
+      const at = this.toPixels(this.scene.place(track[i]));
       if (i < track.length - 1 && Math.abs(at[0] - last[0]) < 0.7 && Math.abs(at[1] - last[1]) < 0.7) continue;
       kept.push(at);
       last = at;
     }
     return kept;
+  }
+
+  // The track on a canvas of its own: as long as the view stays, only what is new is drawn.
+  drawTrack(track, colour) {
+    const ratio = window.devicePixelRatio || 1, { width, height } = this.canvas;
+    const key = [...this.centre, this.zoom, width, height, colour].join();
+    const same = this.layer?.key === key && this.layer.count <= track.length && this.layer.first === track[0];
+    if (!same) {
+      const canvas = this.layer?.canvas ?? document.createElement("canvas");
+      [canvas.width, canvas.height] = [width, height]; // which empties it
+      this.layer = { key, canvas, count: 0, first: track[0] };
+    }
+    if (this.layer.count < track.length) {
+      const c = this.layer.canvas.getContext("2d");
+      c.setTransform(ratio, 0, 0, ratio, 0, 0);
+      [c.strokeStyle, c.lineWidth, c.lineJoin, c.lineCap] = [colour, 1.8, "round", "round"];
+      c.beginPath();
+      this.thinned(track, Math.max(this.layer.count - 1, 0)).forEach(([u, v], i) => (i ? c.lineTo(u, v) : c.moveTo(u, v)));
+      c.stroke();
+      this.layer.count = track.length;
+    }
+    this.context.save();
+    this.context.setTransform(1, 0, 0, 1, 0, 0);
+    this.context.drawImage(this.layer.canvas, 0, 0);
+    this.context.restore();
   }
 
   truth(truth) {
@@ -245,7 +309,8 @@ export class MapView {
   estimates() {
     const { context: c, scene } = this, { state, track, place, enlarge } = scene;
     const wallColour = this.colour("wall"), agentColour = this.colour("agent"), anchorColour = this.colour("anchor");
-    for (const wall of this.walls()) {
+    this.seenWalls = this.walls();
+    for (const wall of this.seenWalls) {
       c.strokeStyle = c.fillStyle = wallColour;
       c.globalAlpha = 0.35;
       c.lineWidth = 1;
@@ -261,18 +326,16 @@ export class MapView {
         .forEach(([u, v], i) => (i ? c.lineTo(u, v) : c.moveTo(u, v)));
       c.fill();
       c.globalAlpha = 1;
-      c.lineWidth = 2.4;
+      c.lineWidth = scene.selected?.wall === wall.id ? 5 : 2.4;
       this.path(wall.ends.map((p) => this.toPixels(p)));
     }
-    c.strokeStyle = agentColour;
-    c.lineWidth = 1.8;
-    this.path(this.thinned(track));
+    if (track.length) this.drawTrack(track, agentColour);
     for (const anchor of state.anchors) {
       if (!anchor.located) continue;
       const at = this.toPixels(place(anchor.position_m));
       this.ellipse(at, anchor.covariance_m2, anchorColour);
       c.fillStyle = anchorColour;
-      this.triangle(at, 6.5);
+      this.triangle(at, scene.selected?.anchor === anchor.name ? 10 : 6.5);
       c.textAlign = "center";
       c.font = "12px system-ui, sans-serif";
       c.fillText(anchor.name, at[0], at[1] - 12);

@@ -8,6 +8,7 @@ import { Plot } from "./plots.js";
 const $ = (id) => document.getElementById(id);
 const COLUMNS = ["time_s", "x_m", "y_m", "variance_x_m2", "variance_y_m2", "rotation_std_rad", "hypotheses", "walls"];
 const KEPT = 400; // states kept for the replay
+const STALE_S = 15; // without a new epoch, after which what is shown no longer counts as live
 
 export class SessionView {
   constructor(notice) {
@@ -30,6 +31,57 @@ export class SessionView {
     $("slider").oninput = () => this.seek(+$("slider").value);
     $("live").onclick = () => this.goLive();
     $("play").onclick = () => this.play();
+    this.map.onHover = (found) => this.tell(found);
+    this.map.onPick = (found) => {
+      if (found.epoch !== undefined) this.seek(found.epoch);
+      else this.select(found.anchor ? { anchor: found.anchor.name } : found.wall ? { wall: found.wall.id } : null);
+    };
+    for (const [table, kind] of [["anchors", "anchor"], ["walls", "wall"]]) {
+      $(table).onclick = (event) => {
+        const row = event.target.closest("tbody tr");
+        if (row) this.select({ [kind]: kind === "wall" ? +row.dataset.name : row.dataset.name });
+      };
+    }
+    this.beat = setInterval(() => this.tellLink(), 1000);
+  }
+
+  // What is selected stands out in map and tables; the same again, or nothing, ends that.
+  select(what) {
+    const same = what && JSON.stringify(what) === JSON.stringify(this.selected);
+    this.selected = same ? null : what;
+    this.draw();
+  }
+
+  // What lies under the pointer, with its values; how far that is from what is selected.
+  tell(found) {
+    $("tip").hidden = !found;
+    if (!found) return;
+    const [x, y] = found.at, lines = [`${x.toFixed(2)}, ${y.toFixed(2)} m`];
+    if (found.anchor) lines.unshift(`${found.anchor.name}: ± ${spread(found.anchor.covariance_m2)} m, exists ${percent(found.anchor.existence)}`);
+    if (found.wall) lines.unshift(`wall ${found.wall.id}: ${(norm(found.wall.vrp_m) / 2).toFixed(2)} m from the start, exists ${percent(found.wall.existence)}`);
+    if (found.epoch !== undefined) {
+      const c = this.columns, i = found.epoch;
+      lines.unshift(`epoch ${i}, ${c.time_s[i].toFixed(1)} s: ± ${Math.sqrt(c.variance_x_m2[i] + c.variance_y_m2[i]).toFixed(3)} m`);
+    }
+    const from = this.selectedPlace();
+    if (from) lines.push(`${Math.hypot(x - from[0], y - from[1]).toFixed(2)} m from ${this.selected.anchor}`);
+    $("tip").textContent = lines.join("\n");
+  }
+
+  selectedPlace() {
+    const anchor = this.state?.anchors.find((each) => each.name === this.selected?.anchor);
+    return anchor?.located ? this.frame.place(anchor.position_m) : null;
+  }
+
+  // Whether what is shown is live, has not changed for a while, or cannot be heard of.
+  tellLink() {
+    if (!this.session || $("session").hidden) return;
+    const silent = (Date.now() - this.heard) / 1000;
+    const state = this.linked === false ? "lost" : silent < STALE_S && this.live ? "live" : "stale";
+    const since = silent < 120 ? `${Math.round(silent)} s` : `${Math.round(silent / 60)} min`;
+    const words = { live: "live", stale: this.live ? `no new epoch for ${since}` : "replay", lost: `disconnected for ${since}, trying again` };
+    $("link").dataset.state = state;
+    $("link").textContent = words[state];
   }
 
   async open(id) {
@@ -43,13 +95,19 @@ export class SessionView {
     this.frame = frame(session.start_frame);
     this.truth = truth && this.placedTruth(truth);
     this.columns = Object.fromEntries(COLUMNS.map((name) => [name, trajectory[name]]));
+    this.walked = this.columns.x_m.map((x, i) => [x, this.columns.y_m[i]]);
     this.states = new Map();
     this.epoch = this.count - 1;
     this.state = null;
     this.live = true;
+    this.linked = true;
+    this.heard = Date.parse(session.updated_at);
+    this.selected = null;
     this.map.touched = false;
+    document.title = `${session.name || id.slice(0, 8)} · hapslam`;
     $("name").textContent = session.name || id.slice(0, 8);
-    $("subtitle").textContent = `${session.method}, ${session.engine} engine, seed ${session.seed}; anchors ${session.anchors.join(", ")}`;
+    $("subtitle").textContent = `${session.method}, ${session.engine} engine`;
+    if (session.warnings?.length) this.notice(session.warnings.join(" "), true);
     this.links(id);
     if (this.count) await this.load(this.epoch);
     this.changed();
@@ -81,6 +139,7 @@ export class SessionView {
   links(id) {
     for (const [name, leaf, file] of [
       ["png", "map.png", "map.png"], ["svg", "map.svg", "map.svg"], ["geojson", "map?format=geojson", "map.geojson"],
+      ["mcap", "export?format=mcap", "result.mcap"], ["tum", "export?format=tum", "track.txt"],
       ["smoothed", "smoothed", "smoothed.json"], ["export", "export", "result.nc"], ["log", "measurements", "measurements.nc"],
     ]) {
       $(name).href = `${this.path}/${leaf}`;
@@ -93,8 +152,13 @@ export class SessionView {
 
   async follow(signal) {
     try {
-      for await (const state of events(`${this.path}/events`, this.count, signal)) {
+      const link = (up) => {
+        this.linked = up;
+        this.tellLink();
+      };
+      for await (const state of events(`${this.path}/events`, this.count, signal, link)) {
         this.append(state);
+        this.heard = Date.now();
       }
       if (!signal.aborted) this.notice("This session was deleted.");
     } catch (error) {
@@ -111,6 +175,7 @@ export class SessionView {
       hypotheses: state.hypotheses, walls: state.walls.length,
     };
     for (const name of COLUMNS) this.columns[name].push(row[name]);
+    this.walked.push([row.x_m, row.y_m]);
     this.keep(state);
     if (this.live) {
       this.epoch = state.epoch;
@@ -156,7 +221,7 @@ export class SessionView {
     const step = Math.max(1, Math.round(this.count / 400));
     this.timer = setInterval(() => {
       if (this.epoch >= this.count - 1) this.play();
-      else this.seek(this.epoch + step);
+      else this.seek(Math.min(this.epoch + step * +$("speed").value, this.count - 1));
     }, 60);
   }
 
@@ -175,14 +240,16 @@ export class SessionView {
     slider.max = Math.max(this.count - 1, 0);
     slider.value = this.epoch;
     $("live").setAttribute("aria-pressed", String(this.live));
-    const track = [];
-    for (let i = 0; i <= this.epoch; i++) track.push([this.columns.x_m[i], this.columns.y_m[i]]);
+    const at = this.columns.time_s[this.epoch];
+    $("when").textContent = at === undefined ? "" : `${at.toFixed(1)} s`;
+    const track = this.walked.slice(0, this.epoch + 1);
     this.map.show({
-      state: this.state, track, place: this.frame.place, heading: this.frame.heading, truth: this.truth,
+      state: this.state, track, selected: this.selected, place: this.frame.place, heading: this.frame.heading, truth: this.truth,
       showTruth: $("truth").checked, showCandidates: $("candidates").checked, enlarge: +$("enlarge").value,
     });
     this.facts();
     this.mark();
+    this.tellLink();
   }
 
   mark() {
@@ -204,13 +271,29 @@ export class SessionView {
         ? `${state.hypotheses}, the likeliest ${percent(state.candidates[0].weight)}` : String(state.hypotheses)]);
     }
     $("facts").replaceChildren(...rows.flatMap(([name, value]) => [text("dt", name), text("dd", value)]));
-    $("walls").tBodies[0].replaceChildren(...(state?.walls ?? []).map((wall) => {
-      const row = document.createElement("tr"), c = wall.covariance_m2;
-      const bearing = (180 / Math.PI) * (Math.atan2(wall.vrp_m[1], wall.vrp_m[0]) + this.frame.heading);
-      row.append(text("td", wall.id), text("td", (norm(wall.vrp_m) / 2).toFixed(2)), text("td", (Math.round(10 * bearing) / 10 + 0).toFixed(1)),
-        text("td", (0.5 * Math.sqrt(c[0][0] + c[1][1])).toFixed(2)), text("td", percent(wall.existence)));
-      return row;
+    this.tellIntegrity(state?.integrity);
+    $("anchors").tBodies[0].replaceChildren(...(state?.anchors ?? []).map((anchor) => {
+      const place = anchor.located ? this.frame.place(anchor.position_m).map((v) => v.toFixed(2)).join(", ") : "not located";
+      return tableRow(anchor.name, this.selected?.anchor === anchor.name,
+        [anchor.name, place, anchor.located ? spread(anchor.covariance_m2) : "–", percent(anchor.existence)]);
     }));
+    $("walls").tBodies[0].replaceChildren(...(state?.walls ?? []).map((wall) => {
+      const c = wall.covariance_m2;
+      const bearing = (180 / Math.PI) * (Math.atan2(wall.vrp_m[1], wall.vrp_m[0]) + this.frame.heading);
+      return tableRow(wall.id, this.selected?.wall === wall.id, [wall.id, (norm(wall.vrp_m) / 2).toFixed(2),
+        (Math.round(10 * bearing) / 10 + 0).toFixed(1), (0.5 * Math.sqrt(c[0][0] + c[1][1])).toFixed(2), percent(wall.existence)]);
+    }));
+  }
+
+  // Where the engine doubts itself, that stands above the map.
+  tellIntegrity(integrity) {
+    const doubted = integrity && ["doubtful", "lost"].includes(integrity.state);
+    $("integrity").hidden = !doubted;
+    if (!doubted) return;
+    $("integrity").dataset.state = integrity.state;
+    const what = integrity.state === "lost" ? "Lost: do not rely on this position" : "Doubtful";
+    const reasons = integrity.reasons.length ? `: ${integrity.reasons.join("; ")}` : "";
+    $("integrity").textContent = what + reasons;
   }
 
   error(i) {
@@ -234,6 +317,18 @@ export class SessionView {
 
 function percent(share) {
   return `${Math.floor(100 * share + 1e-9)} %`;
+}
+
+function spread([[a], [, d]]) {
+  return Math.sqrt(a + d).toFixed(2);
+}
+
+function tableRow(name, selected, cells) {
+  const row = document.createElement("tr");
+  row.dataset.name = name;
+  row.setAttribute("aria-selected", String(selected));
+  row.append(...cells.map((content) => text("td", content)));
+  return row;
 }
 
 function text(tag, content) {

@@ -75,8 +75,12 @@ def test_estimates_survive_their_document(walk: MeasurementSet) -> None:
         document = json.loads(json.dumps(estimate_document(0, 0.0, walk.anchors, estimate), allow_nan=False))
         again = read_estimate(document)
         assert estimate.candidates
-        for one, two in ((estimate, again), *zip(estimate.candidates, again.candidates, strict=True)):
+        parts = ((estimate, again), (estimate.integrity, again.integrity))
+        for one, two in (*parts, *zip(estimate.candidates, again.candidates, strict=True)):
             for entry in fields(one):
-                if entry.name != "candidates":
+                if entry.name not in ("candidates", "integrity", "state", "reasons"):
                     kept, shown = np.asarray(getattr(one, entry.name)), getattr(two, entry.name)
                     assert np.array_equal(kept, np.asarray(shown), equal_nan=True), entry.name
+        told = estimate.integrity, again.integrity
+        assert told[0].state == told[1].state
+        assert told[0].reasons == told[1].reasons
