@@ -14,6 +14,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from estimator.slam.gaussian.config import GaussianConfig
+from service.client import Client
 from tests.service.harness import Server
 
 
@@ -64,6 +65,10 @@ def test_a_generated_client_drives_a_session(
 
     models = part("models")
     with Server(database) as server, part("client").Client(base_url=server.url, timeout=60.0) as client:
+        with Client(server.url) as patient:  # waits until the workers are ready
+            first = patient.create_session(make_request())
+            patient.post_sweep(first, sweep_request())
+            patient.post_epochs(first, epochs_request(0, 1)["epochs"])
         made = part("api.sessions.create_session").sync(
             client=client, body=models.SessionRequest.from_dict(make_request())
         )
