@@ -116,12 +116,14 @@ def _reflect(
 
     te = np.empty(len(field), dtype=np.complex128)
     tm = np.empty_like(te)
+    slabs, kinds = plan.surface_slabs, dict[tuple[str, float], list[int]]()
     for index in np.unique(surface):
-        slab = plan.surface_slabs[index]
-        mine = surface == index
-        specular = np.sqrt(1.0 - plan.scattering_of(slab.material) ** 2)
-        eta = plan.permittivity_of(slab.material, carrier_hz)
-        coefficients = slab_reflection(cosine[mine], eta, slab.thickness_m, carrier_hz)
+        kinds.setdefault((slabs[index].material, slabs[index].thickness_m), []).append(index)
+    for (material, thickness_m), alike in kinds.items():
+        mine = np.isin(surface, alike)
+        specular = np.sqrt(1.0 - plan.scattering_of(material) ** 2)
+        eta = plan.permittivity_of(material, carrier_hz)
+        coefficients = slab_reflection(cosine[mine], eta, thickness_m, carrier_hz)
         te[mine], tm[mine] = (specular * coefficient for coefficient in coefficients)
 
     along_in, along_out = np.cross(across, incident), np.cross(across, outgoing)

@@ -7,7 +7,8 @@ two-dimensional equation (2) of the paper in three dimensions, with visibility.
 
 It shares nothing with the ray tracer, in double precision, and so proves that the
 tracer lost no path; it also serves where paths are needed without Mitsuba. Its cost
-grows as the number of sequences of surfaces that a beam from the anchor can take.
+grows as the number of sequences of surfaces that a beam from the anchor can take, with walls
+hiding one another (:mod:`raytrace.propagation.sequences`), not with the size of the building.
 """
 
 from __future__ import annotations
@@ -19,10 +20,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
+from raytrace.propagation.beams import within_beams
 from raytrace.propagation.directions import angles_of
 from raytrace.propagation.fields import specular_amplitude, specular_transfer
+from raytrace.propagation.obstacles import blocked
 from raytrace.propagation.paths import NO_INTERACTION, NO_SURFACE, SPECULAR, PathList, PathSet
-from raytrace.propagation.reflectors import RIM_M, TIP, Surfaces, blocked, mirrored, on_rectangle, surfaces_of
+from raytrace.propagation.reflectors import RIM_M, TIP, Surfaces, on_rectangle, surfaces_of
+from raytrace.propagation.sequences import Sequences, chosen_sequences, lit_sequences
 
 __all__ = ["image_paths"]
 
@@ -31,8 +35,6 @@ Array = NDArray[np.float64]
 # Pairs of a position and a sequence of surfaces looked at together: what is written about them stays in
 # the processor's cache.
 _PAIRS = 60_000
-# By so much more than the rim a bounce may miss its surface until it is looked at closely.
-_SLACK_M = 1e-6
 
 
 def image_paths(
@@ -84,27 +86,33 @@ def image_paths(
     surfaces = surfaces_of(plan)
     parts = []
     for index, anchor in enumerate(anchors):
-        for order in range(depth + 1):
-            sequences = (
-                _sequences(surfaces, anchor, order, rim_m)
-                if among is None
-                else _of_order(among, order, len(surfaces))
-            )
-            images = _images(surfaces, anchor, sequences)
-            found = _visible(surfaces, positions, sequences, images, rim_m, leg_m)
+        of_orders = (
+            lit_sequences(surfaces, anchor, depth, _top_m(plan, positions, anchor), blind=rim_m < 0.0)
+            if among is None
+            else (chosen_sequences(surfaces, anchor, among, order) for order in range(depth + 1))
+        )
+        for sequences in of_orders:
+            found = _visible(surfaces, positions, sequences, rim_m, leg_m)
             parts.append(_path_list(gain, surfaces, index, max(depth, 1), *found))
     return PathSet.build(PathList.concatenate(parts), len(positions), len(anchors))
+
+
+def _top_m(plan: FloorPlan, positions: Array, anchor: Array) -> float:
+    """Height that no path exceeds, metres; infinite where paths may pass below the walls."""
+    ends = np.append(positions[:, 2], anchor[2])
+    if ends.min(initial=0.0) < 0.0:
+        return float(np.inf)
+    return float(max(ends.max(), plan.ceiling_height_m if plan.has_ceiling else 0.0))
 
 
 def _visible(
     surfaces: Surfaces,
     positions: Array,
-    sequences: NDArray[np.int64],
-    images: Array,
+    sequences: Sequences,
     rim_m: float,
     leg_m: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Paths of sequences (q, order) to positions (n, 3) that nothing blocks.
+    """Paths of sequences to positions (n, 3) that nothing blocks.
 
     Returns the position's index, the surfaces (paths, order), and the vertices from anchor to
     agent (paths, order + 2, 3).
@@ -113,18 +121,16 @@ def _visible(
     parts = [
         (row, epoch + first, vertices)
         for first in range(0, len(positions), block)
-        for epoch, row, vertices in (
-            _unfold(surfaces, positions[first : first + block], sequences, images, rim_m),
-        )
+        for epoch, row, vertices in (_unfold(surfaces, positions[first : first + block], sequences, rim_m),)
     ]
     row, epoch, vertices = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     clear = np.all(np.linalg.norm(np.diff(vertices, axis=1), axis=-1) >= leg_m, axis=1)
-    met = np.pad(sequences[row], ((0, 0), (1, 1)), constant_values=-1)
+    met = np.pad(sequences.surfaces[row], ((0, 0), (1, 1)), constant_values=-1)
     ends = np.stack([met[:, :-1], met[:, 1:]], axis=2)
     for leg in range(vertices.shape[1] - 1):  # what the first leg ends is not asked for the next
         left = np.flatnonzero(clear)
         clear[left] = ~blocked(surfaces, vertices[left, leg], vertices[left, leg + 1], rim_m, ends[left, leg])
-    return epoch[clear], sequences[row[clear]], vertices[clear]
+    return epoch[clear], sequences.surfaces[row[clear]], vertices[clear]
 
 
 @dataclass(frozen=True)
@@ -179,75 +185,19 @@ def _path_list(
     )
 
 
-def _sequences(surfaces: Surfaces, anchor: Array, order: int, rim_m: float) -> NDArray[np.int64]:
-    """Sequences of ``order`` bounces that light from the anchor can take, shape (sequences, order).
-
-    A surface follows another if some of it lies where the beam goes that this one reflects. Paths
-    that miss a surface have no such beam: with a negative rim any surface follows any other.
-    """
-    sequences, image = np.zeros((1, 0), dtype=np.int64), anchor[None]
-    for bounce in range(order):
-        follows = np.ones((len(sequences), len(surfaces)), dtype=bool)
-        if bounce:
-            last = sequences[:, -1]
-            follows[np.arange(len(sequences)), last] = False
-            if rim_m >= 0.0:
-                follows &= _lit(surfaces, image, last)
-        row, wall = np.nonzero(follows)
-        sequences = np.column_stack([sequences[row], wall])
-        image = mirrored(surfaces, image[row], wall)
-    return sequences
-
-
-def _of_order(walls: NDArray[np.int16], order: int, surfaces: int) -> NDArray[np.int64]:
-    """The different sequences of ``order`` surfaces in ``walls``, shape (sequences, order)."""
-    there = (walls >= 0) & (walls < surfaces)
-    mine = there[:, :order].all(axis=1) & (walls[:, order:] == NO_SURFACE).all(axis=1)
-    return np.unique(walls[mine, :order].astype(np.int64), axis=0)
-
-
-def _images(surfaces: Surfaces, anchor: Array, sequences: NDArray[np.int64]) -> Array:
-    """The anchor and its images after every bounce of sequences (q, order); (q, order + 1, 3)."""
-    images = [np.broadcast_to(anchor, (len(sequences), 3))]
-    for wall in sequences.T:
-        images.append(mirrored(surfaces, images[-1], wall))
-    return np.stack(images, axis=1)
-
-
-def _lit(surfaces: Surfaces, images: Array, last: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which surfaces may meet the beams (q,) from images through the surfaces ``last``; (q, surfaces).
-
-    The beam is a pyramid cut off at its surface; what lies outside one of its five planes is dark.
-    """
-    corners = surfaces.corners()
-    edges = corners[last] - images[:, None]
-    sides = np.cross(edges, np.roll(edges, -1, axis=1))
-    inward = np.sign(np.einsum("qpi,qi->qp", sides, edges.mean(axis=1)))
-    sides *= (inward / np.maximum(np.linalg.norm(sides, axis=-1), TIP))[..., None]
-    normal = surfaces.normal[last]
-    height = np.sum((surfaces.origin[last] - images) * normal, axis=-1)
-    beyond = np.einsum("sci,qi->qsc", corners, normal * np.sign(height)[:, None])
-    beyond -= np.sum(surfaces.origin[last] * normal, axis=-1)[:, None, None] * np.sign(height)[:, None, None]
-    within = np.einsum("sci,qpi->qpsc", corners, sides)
-    within -= np.einsum("qi,qpi->qp", images, sides)[..., None, None]
-    flat = (inward == 0.0).any(axis=1) | (height == 0.0)  # seen edge on: no beam to speak of
-    lit = (within.max(axis=-1) > TIP).all(axis=1) & (beyond.max(axis=-1) > TIP)
-    return np.asarray(lit | flat[:, None])
-
-
 def _unfold(
-    surfaces: Surfaces, positions: Array, sequences: NDArray[np.int64], images: Array, rim_m: float
+    surfaces: Surfaces, positions: Array, sequences: Sequences, rim_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Bounces of every sequence (q, order) seen from every position (n, 3), those on their surfaces.
+    """Bounces of every sequence seen from every position (n, 3), those on their surfaces.
 
     Returns the position's index, the sequence's, and the vertices from anchor to agent
     (paths, order + 2, 3).
     """
-    epoch, row = _near_last(surfaces, positions, sequences, images[:, -1], rim_m)
+    epoch, row = _near_last(surfaces, positions, sequences, rim_m)
     vertices = [positions[epoch]]
-    for bounce in reversed(range(sequences.shape[1])):
-        wall = sequences[row, bounce]
-        towards = images[row, bounce + 1] - vertices[0]
+    for bounce in reversed(range(sequences.surfaces.shape[1])):
+        wall = sequences.surfaces[row, bounce]
+        towards = sequences.images[row, bounce + 1] - vertices[0]
         normal = surfaces.normal[wall]
         slope = np.sum(towards * normal, axis=-1)
         gap = np.sum((surfaces.origin[wall] - vertices[0]) * normal, axis=-1)
@@ -258,38 +208,28 @@ def _unfold(
         on = (fraction > TIP) & (fraction < 1.0 - TIP) & on_rectangle(surfaces, wall, point, margin)
         epoch, row = epoch[on], row[on]
         vertices = [point[on], *(vertex[on] for vertex in vertices)]
-    return epoch, row, np.stack([images[row, 0], *vertices], axis=1)
+    return epoch, row, np.stack([sequences.images[row, 0], *vertices], axis=1)
 
 
 def _near_last(
-    surfaces: Surfaces, positions: Array, sequences: NDArray[np.int64], images: Array, rim_m: float
+    surfaces: Surfaces, positions: Array, sequences: Sequences, rim_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Positions (n, 3) and sequences (q, order) between which the last surface lies, or nearly so.
+    """Positions (n, 3) and sequences whose last image is seen through the last surface, or nearly so.
 
-    A first look that is quick, since it multiplies matrices: whether the line from the position to
-    the last image (q, 3) meets the last surface, with some slack.
+    A first look that is quick: every position is asked about every sequence.
     """
-    if sequences.shape[1] == 0:
+    if not sequences.surfaces.shape[1]:
         epoch, row = np.nonzero(np.ones((len(positions), len(sequences)), dtype=bool))
         return epoch, row
-    last = sequences[:, -1]
-
-    def coordinates(axes: Array) -> tuple[Array, Array]:  # of positions (n, q), of images (q,)
-        offset = np.sum(surfaces.origin[last] * axes, axis=-1)
-        return positions @ axes.T - offset, np.sum(images * axes, axis=-1) - offset
-
-    here, there = coordinates(surfaces.normal[last])
-    near = (here > 0.0) != (there > 0.0)
-    fraction = np.divide(here, here - there, out=np.zeros_like(here), where=near)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if rim_m >= 0.0:
-            margin: float | Array = _SLACK_M
-        else:
-            length = np.linalg.norm(positions[:, None] - images, axis=-1)
-            margin = _SLACK_M - rim_m * length / np.abs(here - there)
-    for side in range(2):
-        start, end = coordinates(surfaces.sides[last, side])
-        along = start + fraction * (end - start)
-        near &= (along >= -margin) & (along <= surfaces.lengths[last, side] + margin)
-    epoch, row = np.nonzero(near)
-    return epoch, row
+    return within_beams(
+        surfaces.origin,
+        surfaces.sides,
+        surfaces.lengths,
+        surfaces.normal,
+        np.ascontiguousarray(positions, dtype=np.float64),
+        np.ascontiguousarray(sequences.images[:, -1]),
+        np.ascontiguousarray(sequences.surfaces[:, -1]),
+        sequences.wall,
+        sequences.spans_m,
+        rim_m,
+    )

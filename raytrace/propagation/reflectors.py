@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
 from raytrace.plan.floorplan import FloorPlan
 
-__all__ = ["RIM_M", "TIP", "Surfaces", "blocked", "first_hits", "mirrored", "on_rectangle", "surfaces_of"]
+__all__ = ["RIM_M", "TIP", "Surfaces", "first_hits", "mirrored", "on_rectangle", "surfaces_of"]
 
 Array = NDArray[np.float64]
 
@@ -43,6 +42,11 @@ class Surfaces:
 
     def __len__(self) -> int:
         return len(self.origin)
+
+    @property
+    def is_slab(self) -> NDArray[np.bool_]:
+        """Which surfaces are a floor or a ceiling, shape (surfaces,)."""
+        return np.asarray(np.abs(self.normal[:, 2]) > 0.5)
 
     def corners(self) -> Array:
         """The four corners of every rectangle in turn, shape (surfaces, 4, 3), metres."""
@@ -80,104 +84,6 @@ def mirrored(surfaces: Surfaces, points: Array, index: NDArray[np.int64]) -> Arr
     normal = surfaces.normal[index]
     height = np.sum((points - surfaces.origin[index]) * normal, axis=-1)
     return np.asarray(points - 2.0 * height[:, None] * normal)
-
-
-def blocked(
-    surfaces: Surfaces,
-    start: Array,
-    end: Array,
-    rim_m: float = RIM_M,
-    own: NDArray[np.int64] | None = None,
-) -> NDArray[np.bool_]:
-    """Whether legs meet any surface, grown by a rim, between their ends.
-
-    A leg that runs within a surface meets it, and one that bounces at the foot of another surface
-    meets that one; with a negative rim neither does.
-
-    Parameters
-    ----------
-    surfaces : Surfaces
-        The surfaces.
-    start, end : ndarray, shape (..., 3)
-        Ends of the legs, metres.
-    rim_m : float
-        By so much the surfaces are larger than they are, metres.
-    own : ndarray of int64, shape (legs, 2), optional
-        Surfaces on which the legs start and end, -1 for none: those a leg cannot meet.
-
-    Returns
-    -------
-    ndarray of bool, shape (...)
-    """
-    legs = np.ascontiguousarray(np.stack(np.broadcast_arrays(start, end)).reshape(2, -1, 3), np.float64)
-    own = np.full((legs.shape[1], 2), -1) if own is None else np.ascontiguousarray(own, np.int64)
-    shape = np.broadcast_shapes(np.shape(start), np.shape(end))[:-1]
-    arrays = surfaces.origin, surfaces.sides, surfaces.lengths, surfaces.normal
-    return np.asarray(_any_met(*arrays, legs[0], legs[1], float(rim_m), own)).reshape(shape)
-
-
-@compiled
-def _any_met(
-    origin: Array,
-    sides: Array,
-    lengths: Array,
-    normal: Array,
-    start: Array,
-    end: Array,
-    rim_m: float,
-    own: NDArray[np.int64],
-) -> NDArray[np.bool_]:
-    """:func:`blocked` of legs from (n, 3) to (n, 3)."""
-    met = np.zeros(len(start), dtype=np.bool_)
-    for leg in range(len(start)):
-        x0, y0, z0 = start[leg]
-        x1, y1, z1 = end[leg]
-        length = np.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2 + (z1 - z0) ** 2)
-        for surface in range(len(origin)):
-            nx, ny, nz = normal[surface]
-            ox, oy, oz = origin[surface]
-            before = (x0 - ox) * nx + (y0 - oy) * ny + (z0 - oz) * nz  # signed distances of the ends
-            after = (x1 - ox) * nx + (y1 - oy) * ny + (z1 - oz) * nz
-            slope = abs(after - before)
-            inside = abs(before) <= rim_m and abs(after) <= rim_m  # the leg runs within the plane
-            low, high = 0.0, 0.0  # the part of the leg that may meet the surface
-            margin = rim_m
-            if inside:
-                high = 1.0
-            elif slope > 0.0:
-                near = rim_m / slope
-                low = high = before / (before - after)
-                # Where a leg bounces it may meet another surface, at whose foot it does.
-                first = -near if own[leg, 0] >= 0 else TIP
-                last = 1.0 + near if own[leg, 1] >= 0 else 1.0 - TIP
-                if low <= first or low >= last:
-                    continue
-                margin = near * length
-            else:
-                continue
-            overlaps = True
-            for side in range(2):
-                sx, sy, sz = sides[surface, side]
-                one = (x0 - ox) * sx + (y0 - oy) * sy + (z0 - oz) * sz
-                other = (x1 - ox) * sx + (y1 - oy) * sy + (z1 - oz) * sz
-                a, b = one + low * (other - one), one + high * (other - one)
-                if max(a, b) < -margin or min(a, b) > lengths[surface, side] + margin:
-                    overlaps = False
-                    break
-            if not overlaps:
-                continue
-            ours = False  # what a leg starts or ends on, or what lies in that plane
-            for bounce in range(2):
-                wall = own[leg, bounce]
-                if wall >= 0:
-                    wx, wy, wz = normal[wall]
-                    dx, dy, dz = ox - origin[wall, 0], oy - origin[wall, 1], oz - origin[wall, 2]
-                    parallel = abs(nx * wx + ny * wy + nz * wz) > 1.0 - TIP
-                    ours = ours or (parallel and abs(dx * wx + dy * wy + dz * wz) < RIM_M)
-            if not ours:
-                met[leg] = True
-                break
-    return met
 
 
 def on_rectangle(

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.directions import angles_of
+from raytrace.propagation.obstacles import blocked
 from raytrace.propagation.paths import DIFFUSE, NO_SURFACE, PathList
-from raytrace.propagation.reflectors import blocked, surfaces_of
+from raytrace.propagation.reflectors import surfaces_of
 
 __all__ = ["target_returns"]
 
