@@ -154,7 +154,7 @@ def delete_redundant(
     mean = state.hypotheses.mean[state.hypotheses.best]
     vrp = mean[layout.walls].reshape(-1, 2)
     found = slots.confirmed & state.hypotheses.present[state.hypotheses.best]
-    asked = np.flatnonzero(found & (slots.born >= 0))
+    asked = np.flatnonzero(found & (slots.born >= 0) & (slots.swept < model.confirm_support))
     gone = []
     for slot in asked[np.argsort(-slots.born[asked], kind="stable")].tolist():
         found[slot] = False
@@ -253,7 +253,8 @@ def prune_confirmed(state: GaussianState, model: Lifecycle, visibility: Visibili
     """
     slots = state.slots
     found = slots.confirmed & (slots.born >= 0)
-    gone = np.flatnonzero(found & (slots.log_odds < -model.delete_log_odds)).tolist()
+    unseen = slots.swept < model.confirm_support  # what sweeps show stands, whatever paths say
+    gone = np.flatnonzero(found & unseen & (slots.log_odds < -model.delete_log_odds)).tolist()
     if state.shared and found.any():
         best = state.hypotheses.best
         vrp = state.hypotheses.mean[best][state.layout.walls].reshape(-1, 2)

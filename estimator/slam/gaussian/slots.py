@@ -41,6 +41,7 @@ def open_slot(state: GaussianState, model: Visibility) -> tuple[GaussianState, i
         owner=np.append(slots.owner, -1),
         detected_from_m=np.concatenate([slots.detected_from_m, np.full((1, new.anchors, 2, 2), np.nan)]),
         log_odds=np.append(slots.log_odds, 0.0),
+        swept=np.append(slots.swept, 0),
     )
     return state.but(hypotheses=grown, slots=more), old.slots
 
@@ -71,6 +72,7 @@ def close_slot(state: GaussianState, slot: int, model: Visibility) -> GaussianSt
     slots.extent_m[slot] = np.inf, -np.inf
     slots.detected_from_m[slot] = np.nan
     slots.log_odds[slot] = 0.0
+    slots.swept[slot] = 0
     return state.but(hypotheses=kept, slots=slots)
 
 

@@ -161,6 +161,7 @@ def state_of(
         nobody.copy(),
         np.full((count, anchors, 2, 2), np.nan),
         np.zeros(count),
+        np.zeros(count, dtype=np.int64),
     )
     return GaussianState(
         anchor_names=anchor_names,

@@ -17,7 +17,7 @@ from estimator.slam.models.state_vector import Layout
 __all__ = ["GaussianState", "Slots", "load_state", "save_state"]
 
 Array = NDArray[np.float64]
-FORMAT = "hapslam-gaussian-state/8"
+FORMAT = "hapslam-gaussian-state/9"
 
 
 class Slots(NamedTuple):
@@ -41,6 +41,8 @@ class Slots(NamedTuple):
         metres; NaN before.
     log_odds : ndarray, shape (L,)
         Log odds that it exists, of detections and misses where it should have been detected.
+    swept : ndarray of int64, shape (L,)
+        Sweeps that showed it.
     """
 
     wall_id: NDArray[np.int64]
@@ -50,6 +52,7 @@ class Slots(NamedTuple):
     owner: NDArray[np.int64]
     detected_from_m: Array
     log_odds: Array
+    swept: NDArray[np.int64]
 
     @property
     def tentative(self) -> NDArray[np.int64]:

@@ -108,13 +108,13 @@ def _update(
     noise: Array,
     held: bool,
     model: MatchModel,
-) -> tuple[int, NDArray[np.bool_], Array]:
+) -> tuple[int, Index, Array]:
     """Correct the first ``before`` hypotheses in place; the others are room for rivals of doubtful matches.
 
-    How many there are then, which flashes (R, J) no wall of each explains, and residuals (R, 2).
+    How many there are then, the walls (R, J) of each one's flashes, residuals (R, 2).
     """
     flashes, n = seen.shape[0], hypotheses.mean.shape[1]
-    unmatched, residual = np.empty((2 * before, flashes), dtype=np.bool_), np.empty((2 * before, 2))
+    label, residual = np.empty((2 * before, flashes), dtype=np.int64), np.empty((2 * before, 2))
     back, spread = np.empty(seen.shape), np.empty(noise.shape)
     slot = np.empty(flashes, dtype=np.int64)
     count = before
@@ -162,7 +162,7 @@ def _update(
             hypotheses.log_weight[at] = weight + density
             hypotheses.mean[at], hypotheses.covariance[at] = wide_mean[:n], wide[:n, :n]
             for j in range(flashes):
-                unmatched[at, j] = slot[j] == -1
+                label[at, j] = slot[j]
                 if slot[j] >= 0:
                     hypotheses.support[at, slot[j]] += 1
             if model.most_turn_rad > 0.0:
@@ -177,7 +177,7 @@ def _update(
             if not margin < model.rival_nats:
                 break
             forced[0], forced[1] = flash, wall
-    return count, unmatched, residual
+    return count, label, residual
 
 
 def take_sweep(
@@ -218,10 +218,10 @@ def take_sweep(
     scale = min(max(scale, model.least_echo_scale), model.most_echo_scale)
     noise *= scale
     room = state.hypotheses.take(np.tile(np.arange(state.hypotheses.number), 2))
-    count, unmatched, residual = _update(
+    count, label, residual = _update(
         state.layout, room, state.hypotheses.number, seen, noise, heading_held, model.compiled(most_turn_rad)
     )
-    corrected, unmatched = room.take(np.arange(count)), unmatched[:count]
+    corrected, label = room.take(np.arange(count)), label[:count]
     evidence = log_sum_exp(corrected.log_weight)
     corrected.log_weight[...] -= evidence
     told = np.array([scale, 1.0]) * residual[corrected.best]
@@ -232,11 +232,15 @@ def take_sweep(
         tracked_epoch=state.epoch,
         echo_residuals=kept * state.echo_residuals + told,
     )
+    shown = label[corrected.best]
+    slots = state.slots.copy()
+    slots.swept[shown[shown >= 0]] += 1
+    state = state.but(slots=slots)
     if heading_held:
         weight = np.exp(corrected.log_weight)
         for j in range(len(seen)):
-            if weight[unmatched[:, j]].sum() > model.least_new_weight:
-                state = _enter(state, np.flatnonzero(unmatched[:, j]), seen[j], noise[j], visibility)
+            if weight[label[:, j] == -1].sum() > model.least_new_weight:
+                state = _enter(state, np.flatnonzero(label[:, j] == -1), seen[j], noise[j], visibility)
     return state
 
 

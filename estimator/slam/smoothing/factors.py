@@ -20,7 +20,7 @@ from estimator.slam.association.gating import Gating
 from estimator.slam.models.clocks import Clocks
 from estimator.slam.models.motion import Motion
 from estimator.slam.models.noise import MeasurementNoise
-from estimator.slam.models.state_vector import AGENT, THETA, Layout
+from estimator.slam.models.state_vector import AGENT, ECHO_BIAS, THETA, Layout
 from estimator.slam.models.visibility import Visibility
 
 __all__ = ["Models", "PathFactors", "Problem", "SweepFactor", "Trajectory", "column_of"]
@@ -175,6 +175,9 @@ class Problem:
         """Free directions (n, q) of what stands still, and the information (q,) of their priors."""
         layout, config, clocks = self.layout, self.config.noise, self.config.clocks
         columns, information = [THETA], [0.0]
+        if self.config.sweeps.echo_bias_std_m > 0.0:
+            columns.append(ECHO_BIAS)
+            information.append(self.config.sweeps.echo_bias_std_m**-2)
         for k in range(layout.anchors):
             place = layout.anchor_xy(k)
             columns += [place.start, place.start + 1]

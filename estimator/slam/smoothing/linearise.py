@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.geometry import rotate_by_angle_of, rotation_matrix
-from estimator.slam.models.state_vector import AGENT, THETA
-from estimator.slam.models.sweeps import predict_flashes
+from estimator.slam.models.state_vector import AGENT, ECHO_BIAS, THETA
+from estimator.slam.models.sweeps import own_covariance, predict_flashes
 from estimator.slam.smoothing.arrowhead import Arrowhead
 from estimator.slam.smoothing.factors import Problem, Trajectory, column_of
 from estimator.slam.smoothing.measured_paths import add_paths
@@ -163,6 +163,7 @@ def _from_prior(problem: Problem, still: Array, basis: Array) -> Array:
     """How far heights and biases (q,) are from their prior means; 0 for the rest."""
     layout = problem.layout
     away = np.zeros_like(still)
+    away[ECHO_BIAS] = still[ECHO_BIAS]
     for k in range(layout.anchors):
         away[layout.height2(k)] = still[layout.height2(k)] - problem.config.noise.height2_mean_m2
         away[layout.bias(k)] = still[layout.bias(k)]
@@ -176,7 +177,8 @@ def _flashes(problem: Problem, at: Trajectory) -> Iterator[tuple[int, Array, Arr
         state = at.still.copy()
         state[AGENT] = at.agent[sweep.epoch]
         flash, jacobian = predict_flashes(state, problem.layout)
-        whiten = np.linalg.inv(np.linalg.cholesky(turn @ sweep.flash.covariance_m2 @ turn.T))
+        own = own_covariance(sweep.flash, problem.config.sweeps.echo_bias_std_m)
+        whiten = np.linalg.inv(np.linalg.cholesky(turn @ own @ turn.T))
         gap = turn @ sweep.flash.mean_m - flash[sweep.slot]
         yield sweep.epoch, whiten @ jacobian[sweep.slot], whiten @ gap
 
@@ -188,8 +190,13 @@ def _sensed(problem: Problem, still: Array) -> tuple[Array, Array]:
     for slot, wall in enumerate(problem.sensed):
         if wall is None:
             continue
-        whiten = np.linalg.inv(np.linalg.cholesky(wall.covariance_m2))
+        whiten = np.linalg.inv(
+            np.linalg.cholesky(own_covariance(wall, problem.config.sweeps.echo_bias_std_m))
+        )
         expected, jacobian = rotate_by_angle_of(still, THETA, (layout.wall(slot),), problem.bearing_rad)
+        along = 2.0 * expected / np.linalg.norm(expected)
+        expected = expected + still[ECHO_BIAS] * along
+        jacobian[:, ECHO_BIAS] += along
         rows.append(whiten @ jacobian)
         residuals.append(whiten @ (wall.mean_m - expected))
     return np.concatenate(rows), np.concatenate(residuals)

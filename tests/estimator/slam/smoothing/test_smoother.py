@@ -98,7 +98,7 @@ def disturbed(at: Trajectory, layout: Layout, rng: np.random.Generator) -> Traje
     still = at.still.copy()
     still[FIRST_ANCHOR:] += 0.3 * rng.normal(size=len(still) - FIRST_ANCHOR)
     for k in range(layout.anchors):
-        still[[layout.height2(k), layout.bias(k)]] = 0.0
+        still[[layout.height2(k), layout.bias(k), layout.scale(k)]] = 0.0
     still[layout.wall(0).start + 1] = 0.0
     return Trajectory(at.agent, still)
 
