@@ -83,6 +83,8 @@ class AnchorSearchConfig(Settings):
         farther off than a path of its is long, but for clutter.
     survey_points, survey_spacing_m : int, float
         Points of the grid, and the spacing in metres to which it is made finer round the best of them.
+    survey_height_stride : int
+        Of the heights tried, the grid takes every so many-th.
     survey_grid_epochs, survey_seeds : int
         Epochs that weigh the grid, and places that are refined.
     survey_share_los, survey_share_wall, survey_share_pair : float
@@ -178,10 +180,11 @@ class AnchorSearchConfig(Settings):
     survey_patience: int = positive(12)
     survey_least: int = positive(12)
     survey_stride: int = positive(4)
-    survey_recheck_stride: int = positive(16)
+    survey_recheck_stride: int = positive(32)
     survey_near_share: float = probability(0.25)
     survey_points: int = positive(1600)
     survey_spacing_m: float = positive(0.4)
+    survey_height_stride: int = positive(2)
     survey_grid_epochs: int = positive(16)
     survey_seeds: int = positive(16)
     survey_share_los: float = probability(0.3)

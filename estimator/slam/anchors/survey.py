@@ -239,6 +239,7 @@ def _seeds(
     line = np.arange(-reach - spacing, reach + 2.0 * spacing, spacing)
     grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
     grid = grid[np.hypot(*grid.T) <= reach + spacing] + centre
+    height2 = height2[:: config.survey_height_stride]
     score, cell = _grid(grid, height2, bias_m, scene.circles, scene.seen, rows, spacing)
     third = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), axis=-1).reshape(-1, 2)
     while spacing > config.survey_spacing_m:

@@ -49,7 +49,7 @@ from estimator.slam.mixture_reduction import reduce_mixture
 from estimator.slam.models.clutter_guard import guard_clutter
 from estimator.slam.models.epoch_paths import EpochPaths, stack_paths
 from estimator.slam.models.extents import widen_extents
-from estimator.slam.models.hypotheses import log_sum_exp
+from estimator.slam.models.hypotheses import Hypotheses, log_sum_exp
 from estimator.slam.models.noise_level import believed, learned
 from estimator.slam.models.path_loss import learn_losses
 from estimator.slam.protocol import Estimate, Prior
@@ -100,7 +100,7 @@ def step(
     state = _predict(state, epoch, config)
     if epoch.sweep and state.shared:
         state = _sweep(state, epoch, config, phase)
-    before = state.log_evidence
+    before, predicted = state.log_evidence, state.hypotheses
     state, explained = _update(state, paths, config)
     located = state.hypotheses.located[state.hypotheses.best]
     signs = (
@@ -108,6 +108,8 @@ def step(
         float((paths.valid & (explained < 0.5))[located].sum()),
         state.log_evidence - before,
     )
+    if is_tracked(state, config.anchors) and not epoch.sweep:
+        state = state.but(hypotheses=_with_doubt(state.hypotheses, predicted, config.sweeps.mislabelled_probability))
     state = _locate(state, paths, config, phase)
     state = _remember(state, paths, explained, config)
     state = _bear(state, config, phase)
@@ -153,8 +155,9 @@ def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> Gaus
 
 def _sweep(state: GaussianState, epoch: Epoch, config: GaussianConfig, phase: Phase) -> GaussianState:
     """Take the epoch's sweep; hypotheses that it refutes are dropped before paths are looked at."""
+    often = state.epoch - state.swept_epoch <= config.sweeps.often_epochs
     state = take_sweep(
-        forget_guesses(state, config),
+        forget_guesses(state, config) if often else state,
         epoch.sweep,
         epoch.heading_held,
         config.sweeps,
@@ -232,6 +235,20 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
         state.but(hypotheses=after, slots=slots, levels=levels, log_evidence=state.log_evidence + evidence),
         done.explained[best],
     )
+
+
+def _with_doubt(updated: Hypotheses, predicted: Hypotheses, doubt: float) -> Hypotheses:
+    """The hypotheses, and beside them those without the paths: between sweeps all labels may be wrong together.
+
+    The next sweep decides between them.
+    """
+    unlabelled = predicted._replace(
+        log_weight=predicted.log_weight - log_sum_exp(predicted.log_weight) + np.log(doubt)
+    )
+    labelled = updated._replace(
+        log_weight=updated.log_weight - log_sum_exp(updated.log_weight) + np.log1p(-doubt)
+    )
+    return labelled.joined(unlabelled)
 
 
 def _locate(state: GaussianState, paths: EpochPaths, config: GaussianConfig, phase: Phase) -> GaussianState:

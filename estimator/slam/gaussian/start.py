@@ -176,6 +176,7 @@ def state_of(
         slots=slots,
         buffer=PathBuffer.empty(),
         surveyed=PathBuffer.empty(),
+        swept_epoch=-1,
         tracked_epoch=-1,
         indicators=no_indicators(config.integrity),
         echo_residuals=np.full(2, config.sweeps.residual_flashes),

@@ -93,6 +93,8 @@ class GaussianState(NamedTuple):
         The recent track and its paths.
     surveyed : PathBuffer
         Places of the track as far as it is known, and their paths, for surveys of anchors.
+    swept_epoch : int
+        The last epoch with a sweep, the first of the run where there was none since.
     tracked_epoch : int
         The last epoch on the way whose motion a sweep told, -1 if none did.
     echo_residuals : ndarray, shape (2,)
@@ -118,6 +120,7 @@ class GaussianState(NamedTuple):
     slots: Slots
     buffer: PathBuffer
     surveyed: PathBuffer
+    swept_epoch: int
     tracked_epoch: int
     echo_residuals: Array
     indicators: Indicators
@@ -147,6 +150,7 @@ _SCALARS = (
     "log_evidence",
     "next_wall_id",
     "shared",
+    "swept_epoch",
     "tracked_epoch",
 )
 _BUFFER = ("epoch", "anchor", "length_m", "std_m", "excess_loss_db", "unassociated")

@@ -63,6 +63,11 @@ class SweepMatching(Settings):
     residual_flashes, residual_memory : float
         The variance claimed of flashes is scaled to their residuals in range: the claim counts as so many
         flashes, and the last so many tell.
+    often_epochs : int
+        Sweeps no more epochs apart than this tell how the agent moves.
+    mislabelled_probability : float
+        Probability that the paths of an epoch without a sweep are all taken for the wrong features, where sweeps
+        come now and then.
     least_echo_scale, most_echo_scale : float
         Within these limits.
     """
@@ -80,6 +85,8 @@ class SweepMatching(Settings):
     least_new_weight: float = probability(0.01)
     residual_flashes: float = positive(20.0)
     residual_memory: float = positive(200.0)
+    often_epochs: int = positive(4)
+    mislabelled_probability: float = probability(0.1)
     least_echo_scale: float = positive(0.25)
     most_echo_scale: float = positive(9.0)
 
@@ -224,12 +231,14 @@ def take_sweep(
     corrected, label = room.take(np.arange(count)), label[:count]
     evidence = log_sum_exp(corrected.log_weight)
     corrected.log_weight[...] -= evidence
+    often = state.epoch - state.swept_epoch <= model.often_epochs
     told = np.array([scale, 1.0]) * residual[corrected.best]
     kept = max(1.0 - told[1] / model.residual_memory, 0.0)
     state = state.but(
         hypotheses=corrected,
         log_evidence=state.log_evidence + evidence,
-        tracked_epoch=state.epoch,
+        swept_epoch=state.epoch,
+        tracked_epoch=state.epoch if often else state.tracked_epoch,
         echo_residuals=kept * state.echo_residuals + told,
     )
     shown = label[corrected.best]
