@@ -109,7 +109,9 @@ def step(
         state.log_evidence - before,
     )
     if is_tracked(state, config.anchors) and not epoch.sweep:
-        state = state.but(hypotheses=_with_doubt(state.hypotheses, predicted, config.sweeps.mislabelled_probability))
+        state = state.but(
+            hypotheses=_with_doubt(state.hypotheses, predicted, config.sweeps.mislabelled_probability)
+        )
     state = _locate(state, paths, config, phase)
     state = _remember(state, paths, explained, config)
     state = _bear(state, config, phase)
@@ -238,7 +240,7 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
 
 
 def _with_doubt(updated: Hypotheses, predicted: Hypotheses, doubt: float) -> Hypotheses:
-    """The hypotheses, and beside them those without the paths: between sweeps all labels may be wrong together.
+    """The hypotheses, and beside them those without the paths: between sweeps all labels may be wrong.
 
     The next sweep decides between them.
     """

@@ -66,8 +66,8 @@ class SweepMatching(Settings):
     often_epochs : int
         Sweeps no more epochs apart than this tell how the agent moves.
     mislabelled_probability : float
-        Probability that the paths of an epoch without a sweep are all taken for the wrong features, where sweeps
-        come now and then.
+        Probability that the paths of an epoch without a sweep are all taken for the wrong features, where
+        sweeps come now and then.
     least_echo_scale, most_echo_scale : float
         Within these limits.
     """

@@ -97,6 +97,14 @@ class SweepFactor:
     flash: GaussianVrp
 
 
+class Echoes(Protocol):
+    """What a smoother needs to know of sweeps."""
+
+    @property
+    def echo_bias_std_m(self) -> float:
+        """Standard deviation of the error in range that all sweeps have in common, metres."""
+
+
 class Models(Protocol):
     """The groups of settings that a smoother uses; those of any engine's configuration."""
 
@@ -119,6 +127,10 @@ class Models(Protocol):
     @property
     def gating(self) -> Gating:
         """Gates."""
+
+    @property
+    def sweeps(self) -> Echoes:
+        """Flashes of sweeps."""
 
 
 @dataclass(frozen=True, eq=False)
