@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from estimator.evaluation.metrics import nees
 from estimator.experiments.measured.plain import kalman_track, least_squares_track
-from estimator.experiments.measured.sets import MeasuredRun, measured_runs
+from estimator.experiments.measured.run import MeasuredRun
+from estimator.experiments.measured.sets import measured_runs
 from estimator.slam.run import run_slam
 
 __all__ = ["METHOD", "compare", "measured_table"]
@@ -19,6 +20,7 @@ __all__ = ["METHOD", "compare", "measured_table"]
 Array = NDArray[np.float64]
 METHOD = "va"  # anchors are known, walls are not
 _LOST_SHARE = 0.1  # a run is lost if it is off by more than this share of the true track's extent
+_LOST_M = 1.0  # or more, where it is small
 _OFFSETS_S = np.linspace(-0.5, 0.5, 101)  # of clocks, that are tried
 
 
@@ -46,17 +48,37 @@ def compare(folder: Path, method: str = METHOD) -> dict[str, dict[str, Any]]:
     FileFormatError
         If there is no known set, or a file of one is damaged.
     """
-    return {run.key: _compared(run, method) for run in measured_runs(Path(folder))}
+    found: dict[str, list[dict[str, Any]]] = {}
+    for run in measured_runs(Path(folder)):
+        found.setdefault(run.key, []).append(_compared(run, method))
+    return {key: _together(each) for key, each in found.items()}
+
+
+def _together(each: list[dict[str, Any]]) -> dict[str, Any]:
+    """Several runs as one: medians of errors, the sum of false features, whatever most are."""
+    if len(each) == 1:
+        return each[0]
+    whole = {"method": each[0]["method"]}
+    for name in each[0]:
+        values = [one[name] for one in each if one[name] is not None]
+        if name == "false_features":
+            whole[name] = sum(values)
+        elif name in ("lost", "flagged"):
+            whole[name] = 2 * sum(values) > len(values)
+        elif name != "method":
+            whole[name] = float(np.median(values)) if values else None
+    return whole
 
 
 def _compared(run: MeasuredRun, method: str) -> dict[str, Any]:
-    measurements = run.measurements
+    measurements, plainly = run.measurements, run.plain or run.measurements
+    start, plain_start = (np.array(one.settings["start_m"]) for one in (measurements, plainly))
     time = np.array([epoch.time_s for epoch in measurements.epochs])
-    plain = least_squares_track(measurements) + run.start_m
+    plain = least_squares_track(plainly) + plain_start
     truth = run.truth.at(time + (_clock_offset(run, time, plain) if run.clocks_differ else 0.0))
     result = run_slam(measurements, method)
     known = np.isfinite(truth).all(axis=1)
-    error = result.agent_mean[:, :2] + run.start_m - truth
+    error = result.agent_mean[:, :2] + start - truth
     distance = np.linalg.norm(error[known], axis=1)
     rmse = float(np.sqrt(np.mean(distance**2)))
     extent = float(np.linalg.norm(np.ptp(truth[known], axis=0)))
@@ -65,10 +87,10 @@ def _compared(run: MeasuredRun, method: str) -> dict[str, Any]:
         "mae_m": float(distance.mean()),
         "rmse_m": rmse,
         "nees_per_dim": float(nees(error[known], result.agent_covariance[known, :2, :2]).mean()),
-        "lost": bool(rmse > _LOST_SHARE * extent),
+        "lost": bool(rmse > max(_LOST_M, _LOST_SHARE * extent)),
         "flagged": bool(result.flagged[-1]),
         "false_features": int(result.wall_valid[-1].sum()),
-        "ekf_mae_m": _mean_error(kalman_track(measurements) + run.start_m, truth),
+        "ekf_mae_m": _mean_error(kalman_track(plainly) + plain_start, truth),
         "least_squares_mae_m": _mean_error(plain, truth),
     }
 

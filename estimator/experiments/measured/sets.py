@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import FileFormatError
-from estimator.measurements import MeasurementSet
+from estimator.experiments.measured.responses import response_runs
+from estimator.experiments.measured.run import MeasuredRun
 from estimator.readers.csv_ranges import read_csv
 from estimator.readers.mat_ranges import read_mat, read_mat_track
 from estimator.readers.range_log import RangeLog, measurements_of
@@ -22,34 +22,9 @@ from estimator.readers.sensor_lines import read_sensor_lines
 from estimator.readers.text_files import lines_of, number, seconds
 from estimator.readers.trajectories import Track
 
-__all__ = ["MeasuredRun", "measured_runs"]
+__all__ = ["measured_runs"]
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class MeasuredRun:
-    """One run of a set.
-
-    Parameters
-    ----------
-    key : str
-        Its name.
-    measurements : MeasurementSet
-        What was measured.
-    start_m : ndarray, shape (2,)
-        The estimator's origin in the frame of the truth, metres.
-    truth : Track
-        The true track; its times are those of the measurements' epochs, but for an offset of clocks.
-    clocks_differ : bool
-        Whether that offset is unknown: then it is fitted, on the places of least squares.
-    """
-
-    key: str
-    measurements: MeasurementSet
-    start_m: Array
-    truth: Track
-    clocks_differ: bool = False
 
 
 def measured_runs(folder: Path) -> list[MeasuredRun]:
@@ -73,9 +48,8 @@ def _run(
     key: str, log: RangeLog, truth: Track, anchors_m: Array | None = None, apart: bool = False
 ) -> MeasuredRun:
     measurements = measurements_of(log, anchors_m)
-    start = np.array(measurements.settings["start_m"])
     since = Track(truth.time_s - float(log.time_s.min()), truth.position_m)
-    return MeasuredRun(key, measurements, start, since, apart)
+    return MeasuredRun(key, measurements, since, apart)
 
 
 def _lias(folder: Path) -> Iterator[MeasuredRun]:
@@ -143,4 +117,5 @@ _SETS: dict[str, Callable[[Path], Iterator[MeasuredRun]]] = {
     "lias-planar-uwb": _lias,
     "labyrinth-uwb": _labyrinth,
     "plaza-ranges": _plaza,
+    "uwb-cirs-2018": response_runs,
 }

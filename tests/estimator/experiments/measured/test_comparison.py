@@ -92,3 +92,56 @@ def test_the_labyrinth_of_others(tmp_path):
     assert one["mae_m"] < 0.18 < one["ekf_mae_m"]
     assert 0.5 < one["nees_per_dim"] < 2.0
     assert one["false_features"] == 0
+
+
+def write_responses(folder, **changes):
+    """Two static tags and four anchors, responses of a pulse with a tail; ranges of the device with noise."""
+    rng = np.random.default_rng(9)
+    tags, taps = np.array([[4.0, 3.0], [6.0, 5.0]]), 300
+    pairs = np.array([[i + 1, i % 4 + 1, i // 4 + 1] for i in range(8)])
+    link = np.repeat(np.arange(1, 9), 10)
+    first = 100.0 + rng.random(len(link))
+    grid = np.arange(taps)
+    cir = np.exp(-0.5 * ((grid - first[:, None] - 1.6) / 1.4) ** 2)
+    cir = np.stack([cir, np.zeros_like(cir)], axis=-1) * 1e4 + 20.0 * rng.normal(size=(len(link), taps, 2))
+    between = pairs[link - 1]
+    true = np.linalg.norm(PLACES[between[:, 1] - 1] - tags[between[:, 2] - 1], axis=1)
+    arrays = {
+        "cir": cir.astype(np.int16),
+        "first_path_tap": first,
+        "range_m": true + 0.03 * rng.normal(size=len(link)),
+        "link": link,
+        "pairs": pairs,
+        "anchors_m": PLACES,
+        "tags_m": tags,
+    } | changes
+    folder.mkdir(parents=True)
+    np.savez(folder / "cir.npz", **{name: value for name, value in arrays.items() if value is not None})
+
+
+def test_responses_are_ranged_and_tags_located(tmp_path):
+    """Two tags told together, by their medians."""
+    write_responses(tmp_path / "uwb-cirs-2018")
+    one = compare(tmp_path)["uwb-cirs"]
+    assert set(one) == NAMES
+    assert one["mae_m"] < 0.1
+    assert one["least_squares_mae_m"] < 0.1
+    assert not one["lost"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cir": None}, "could not read it"),
+        ({"range_m": np.ones(3)}, "expected range_m as finite numbers of shape"),
+        ({"range_m": np.full(80, np.nan)}, "expected range_m as finite numbers"),
+        ({"link": np.full(80, 99)}, "expected numbers of 1 to 8, got 99 to 99"),
+        ({"pairs": np.zeros((8, 3))}, "expected numbers of 1 to 4, got 0 to 0"),
+        ({"tags_m": np.array([{}])}, "could not read it"),
+    ],
+)
+def test_responses_that_are_none_are_refused(tmp_path, changes, words):
+    """What does not fit is named; nothing is unpickled."""
+    write_responses(tmp_path / "uwb-cirs-2018", **changes)
+    with pytest.raises(FileFormatError, match=words):
+        compare(tmp_path)
