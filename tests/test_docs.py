@@ -18,6 +18,7 @@ PAGES = [
     "docs/conventions.md",
     "docs/datasets.md",
     "docs/estimator.md",
+    "docs/measured.md",
     "docs/plans.md",
 ]
 
