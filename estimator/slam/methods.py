@@ -16,6 +16,10 @@ SLAM: combining information from multiple propagation paths", IEEE Trans. Signal
 Tufvesson, M. Z. Win, "A belief propagation algorithm for multipath-based SLAM", IEEE Trans.
 Wireless Commun. 18(12), 2019, the latter without the anchors' positions (Fig. 11 (a), (c)).
 
+What is known besides is used, or a note says that it is not: ``hybrid`` takes the places of known anchors
+(``gaussian`` engine), and so walls sensed at the start and known anchors together; ``mva`` and ``va``, as
+published, take no walls.
+
 ``passive`` knows every anchor's distance from the start (the shortest path) and nothing of
 its bearing. Delays alone leave the whole map free to turn about RP and to be mirrored, so
 the first anchor is put on a bearing drawn at random and all else follows from it: the
@@ -29,12 +33,28 @@ are worth, not a navigation method; repeated beam sweeps would make it one.
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 from estimator.errors import ConfigurationError
 
-__all__ = ["METHODS", "PAIRS", "Method", "method_for"]
+__all__ = ["METHODS", "PAIRS", "Method", "method_for", "note_unused"]
+
+_LOG = logging.getLogger("hapslam")
+
+
+class _Known(Protocol):
+    """What is known before the first epoch, as far as a method may leave it aside."""
+
+    @property
+    def walls(self) -> Sequence[Any]:
+        """Walls sensed at the start."""
+
+    @property
+    def anchors_m(self) -> Any:
+        """Places of the anchors, None if they are unknown."""
 
 
 @dataclass(frozen=True)
@@ -104,3 +124,25 @@ def method_for(method: str, engine: str) -> Method:
         able = ", ".join(name for name, other in PAIRS if other == engine)
         raise ConfigurationError(f"method: expected one of {able} with engine {engine}, got {method!r}")
     return METHODS[method]
+
+
+def note_unused(method: Method, known: _Known, *, anchors_used: bool) -> None:
+    """Note aloud what is known and not used by a method.
+
+    Parameters
+    ----------
+    method : Method
+        The method.
+    known : Prior
+        What is known before the first epoch.
+    anchors_used : bool
+        Whether the engine uses the places of the anchors.
+    """
+    if known.walls and not method.walls:
+        _LOG.info(
+            "method %s takes no walls: %d sensed at the start are not used; hybrid uses them and known anchors",
+            method.name,
+            len(known.walls),
+        )
+    if known.anchors_m is not None and not anchors_used:
+        _LOG.info("method %s with this engine does not use the known places of the anchors", method.name)

@@ -44,7 +44,7 @@ from estimator.slam.gaussian.state import GaussianState, load_state, save_state
 from estimator.slam.gaussian.sweep_update import take_sweep
 from estimator.slam.gaussian.turns import speed_penalty, with_turns
 from estimator.slam.gaussian.update import predict_hypotheses, update_hypotheses
-from estimator.slam.methods import METHODS, Method
+from estimator.slam.methods import METHODS, Method, note_unused
 from estimator.slam.mixture_reduction import reduce_mixture
 from estimator.slam.models.clutter_guard import guard_clutter
 from estimator.slam.models.epoch_paths import EpochPaths, stack_paths
@@ -360,10 +360,16 @@ class GaussianEngine:
         )
 
     def start(self, prior: Prior, rng: np.random.Generator) -> GaussianState:
-        """See :func:`estimator.slam.gaussian.start.start`; raises InputError if known anchors are lacking."""
-        known = self.method.anchors == "known"
-        if known and prior.anchors_m is None:
+        """See :func:`estimator.slam.gaussian.start.start`; raises InputError if known anchors are lacking.
+
+        Anchors that are known are used by every method that hears paths, with the walls sensed at the start
+        if the method uses these; what it leaves aside is noted.
+        """
+        required = self.method.anchors == "known"
+        if required and prior.anchors_m is None:
             raise InputError(f"method {self.method.name}: expected known anchors, the measurements have none")
+        known = required or (self.method.paths and prior.anchors_m is not None)
+        note_unused(self.method, prior, anchors_used=known)
         return start(
             prior.walls if self.method.walls else (),
             prior.anchor_names,

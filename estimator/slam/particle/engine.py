@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import InputError
 from estimator.measurements import Epoch
-from estimator.slam.methods import Method
+from estimator.slam.methods import Method, note_unused
 from estimator.slam.models.clutter_guard import guard_clutter
 from estimator.slam.particle.anchors import remember_paths, ring_anchors, start_anchors
 from estimator.slam.particle.births import merged, pruned
@@ -86,6 +86,7 @@ class ParticleEngine:
         agent = np.diag([config.start_std_m**2] * 2 + [config.velocity_std_m_s**2] * 2)
         anchors = [np.zeros((2, config.particles), np.float32)] * count
         known = self.method.anchors == "known"
+        note_unused(self.method, prior, anchors_used=known)
         if known:
             if prior.anchors_m is None:
                 raise InputError(

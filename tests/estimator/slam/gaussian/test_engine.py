@@ -120,6 +120,22 @@ def test_known_anchors_need_no_echoes(room):
         run_slam(lacking, "mva", "gaussian")
 
 
+def test_what_is_known_is_used_together(room, caplog):
+    """`hybrid` takes known anchors with the walls sensed; `mva` leaves the walls aside, and says so."""
+    measured = room.measure(2, epochs=40, know_anchors=True)
+    blind = replace(measured, known_anchors_m=None)
+    told, untold = run_slam(measured, "hybrid"), run_slam(blind, "hybrid")
+    np.testing.assert_allclose(told.anchor_mean_m[0], measured.known_anchors_m, atol=1e-9)
+    assert told.wall_valid[0].sum() == len(measured.walls)
+    spread = [np.trace(result.agent_covariance[-1, :2, :2]) for result in (told, untold)]
+    assert spread[0] < 0.5 * spread[1]
+    error = told.agent_mean[-1, :2] - (room.track[39] - room.track[0])
+    assert np.linalg.norm(error) < 4.0 * np.sqrt(spread[0]) + 0.05
+    with caplog.at_level("INFO", logger="hapslam"):
+        run_slam(room.measure(2, epochs=2, know_anchors=True), "mva")
+    assert "method mva takes no walls: " in caplog.text
+
+
 def test_echoes_alone(room):
     """`active`: paths change nothing; without sweeps the agent is soon anywhere, with them it is followed."""
     measured = room.measure(5, epochs=40, sweep_every=1)
