@@ -39,7 +39,7 @@ class NrTerms(Request):
         "differences (RSTD) do.",
     )
     clock_std_m: Positive = Field(
-        30.0,
+        40.0,
         description="Standard deviation of a free clock's error as a length, metres: how far the nearest "
         "TRP may be from the 10 m that it is first taken to be away.",
     )
