@@ -24,6 +24,7 @@ from estimator.channel.nomp import DelayEstimate, NompConfig, NompPlan
 from estimator.dataset import Dataset
 from estimator.errors import ConfigurationError, FileFormatError
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
+from estimator.odometry import odometry_of
 from estimator.sensing.beam_ranges import walls_of_beams
 from estimator.sensing.flash import FlashConfig, find_flashes, flash_walls
 from estimator.threads import one_blas_thread
@@ -230,10 +231,10 @@ def paths_of(estimate: DelayEstimate, array: AntennaArray | None = None) -> Anch
 
 def _epochs(shard: xr.Dataset, paths: list[AnchorPaths], anchors: int, heading_held: bool) -> Iterator[Epoch]:
     """Epochs of a shard from the paths in its channels, anchor by anchor within an epoch."""
-    times = shard["time_s"].values
+    times, moved = shard["time_s"].values, odometry_of(shard)
     for i, index in enumerate(shard["epoch"].values):
         heard = tuple(paths[i * anchors : (i + 1) * anchors])
-        yield Epoch(int(index), float(times[i]), heard, heading_held=heading_held)
+        yield Epoch(int(index), float(times[i]), heard, heading_held=heading_held, odometry=moved[i])
 
 
 def _entry(section: Mapping[str, Any], key: str, name: str) -> Any:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from estimator.dataset import read_netcdf, write_netcdf
 from estimator.errors import FileFormatError, InputError
 from estimator.json_objects import json_object
+from estimator.odometry import Odometry, odometry_of, odometry_variables
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "Epoch",
     "GaussianVrp",
     "MeasurementSet",
+    "Odometry",
     "load_measurements",
     "save_measurements",
 ]
@@ -152,6 +154,9 @@ class Epoch:
     asked : tuple of bool, optional
         Which anchors were measured to at this epoch; None says all of them. Of one that was not asked,
         that nothing was heard means nothing.
+    odometry : Odometry, optional
+        How the agent's body moved from the epoch before to this one; at the first epoch, which has none
+        before, it says nothing. The body's x axis at the start is that of the estimator's frame.
     """
 
     index: int
@@ -160,6 +165,7 @@ class Epoch:
     sweep: tuple[GaussianVrp, ...] = ()
     heading_held: bool = True
     asked: tuple[bool, ...] | None = None
+    odometry: Odometry | None = None
 
     def __post_init__(self) -> None:
         if self.asked is None:
@@ -302,6 +308,7 @@ def save_measurements(measurements: MeasurementSet, path: Path) -> None:
     data = xr.Dataset(
         {
             **known,
+            **odometry_variables([epoch.odometry for epoch in epochs]),
             **{name: (dims, column, {"units": _COLUMNS[name]}) for name, column in columns.items()},
             "path_valid": (dims, valid, {"units": "1", "long_name": "1 where a path was measured"}),
             "time_s": ("epoch", np.array([epoch.time_s for epoch in epochs]), {"units": "s"}),
@@ -391,6 +398,7 @@ def load_measurements(path: Path) -> MeasurementSet:
         ):
             sweeps.setdefault(int(i), []).append(GaussianVrp(mean, covariance))
         index, time = data["epoch"].values, data["time_s"].values
+        moved = odometry_of(data)
         walls = tuple(
             GaussianVrp(mean, covariance)
             for mean, covariance in zip(
@@ -411,6 +419,7 @@ def load_measurements(path: Path) -> MeasurementSet:
                 tuple(sweeps.get(i, ())),
                 bool(held[i]),
                 None if asked is None or asked[i].all() else tuple(asked[i].tolist()),
+                moved[i],
             )
             for i in range(len(index))
         )
@@ -426,7 +435,7 @@ def load_measurements(path: Path) -> MeasurementSet:
         )
     except KeyError as error:
         raise FileFormatError(f"{path}: expected the attribute {error}, it is missing") from error
-    except InputError as error:
+    except (InputError, FileFormatError) as error:
         raise type(error)(f"{path}: {error}") from error
     except (ValueError, TypeError, AttributeError, IndexError, OverflowError) as error:
         raise FileFormatError(f"{path}: expected the values of a measurement file: {error}") from error

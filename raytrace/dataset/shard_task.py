@@ -5,7 +5,7 @@ made anywhere, in any order, and again: the bytes are the same. The noise of the
 channels and of the echo, timing jitter and calibration errors come from separate
 streams of the seed, as do leakage and its phase noise; of each stream, shard ``k`` uses what lies
 ``k`` jumps ahead (a jump is longer than any shard), except for what the device is, calibration and
-coupling, which all shards share.
+coupling, and for odometry, which all shards share.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from estimator.dataset import write_shard
 from estimator.errors import BackendError
 from estimator.threads import one_blas_thread
+from raytrace.dataset.odometry import with_odometry
 from raytrace.dataset.output import Output
 from raytrace.dataset.shards import echo_shard, passive_shard, paths_shard
 from raytrace.plan.floorplan import FloorPlan
@@ -43,7 +44,7 @@ Progress = Callable[[int, int, str], None]
 
 STAGES = ("starting the ray tracer", "tracing paths", "summing channels", "sweeping beams", "writing")
 
-_STREAMS = ("passive", "echo", "timing", "calibration", "coupling", "leakage")
+_STREAMS = ("passive", "echo", "timing", "calibration", "coupling", "leakage", "odometry")
 # The ray tracer serves one thread of a process at a time.
 _TRACER = threading.Lock()
 
@@ -191,6 +192,7 @@ def make_shard(task: ShardTask, folder: Path, stages: Stages | None = None) -> M
             sweep, heard = _sweep(task, radio)
     with stages("write"):
         shard = passive_shard(plan, received, task.epochs, task.output.content)
+        shard = with_odometry(shard, plan, task.stream("odometry", shared=True))
         entries = [
             write_shard(
                 folder, "passive", name.format("passive"), shard, True, **place, diffuse=diffuse_paths

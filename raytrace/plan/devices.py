@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from raytrace.plan.links import Count, Finite, NonNegative, Part, Positive, added
 
-__all__ = ["Agent", "Anchor", "Clock", "FurtherAgent", "Name", "Point2", "Point3", "Target"]
+__all__ = ["Agent", "Anchor", "Clock", "FurtherAgent", "MeasuredMotion", "Name", "Point2", "Point3", "Target"]
 
 Point2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
 Point3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
@@ -44,6 +44,17 @@ class Anchor(Part):
     clock: Clock = added(Clock())
 
 
+class MeasuredMotion(Part):
+    """The agent's odometry: standard deviations of what it measures from one epoch to the next.
+
+    ``displacement_std_share`` is that of each component of the displacement, over its length;
+    ``turn_std_rad`` that of the turn, radians.
+    """
+
+    displacement_std_share: NonNegative = 0.05
+    turn_std_rad: NonNegative = 0.0175
+
+
 class Agent(Part):
     """The agent's track: way-points smoothed by a moving average, sampled every ``step_m``.
 
@@ -52,7 +63,7 @@ class Agent(Part):
     against the direction of travel.
 
     ``max_speed_m_s`` is what the device knows of itself: it never moves faster. By default half as
-    fast again as it moves.
+    fast again as it moves. With a table ``odometry`` it measures how it moves.
     """
 
     waypoints_m: Annotated[tuple[Point2, ...], Field(min_length=2, strict=False)]
@@ -65,6 +76,7 @@ class Agent(Part):
     orientation: Literal["fixed", "travel"] = added("fixed")
     clock: Clock = added(Clock())
     max_speed_m_s: Positive | None = added(None)
+    odometry: MeasuredMotion | None = added(None)
 
     @model_validator(mode="after")
     def _is_no_faster(self) -> Agent:

@@ -186,6 +186,14 @@ class FloorPlan(Part):
         """Azimuth of the estimator's x axis in the plan: the agent's heading at the start, radians."""
         return float(self.headings_rad()[0])
 
+    def body_azimuths_rad(self) -> NDArray[np.float64]:
+        """Direction of the agent's body in the plan at every epoch, shape (epochs,), radians.
+
+        It is that of the estimator's x axis at the start and turns as the direction of travel does.
+        """
+        travel = self._travel_azimuths()
+        return np.asarray(self.heading_rad + travel - travel[0])
+
     def velocities_m_s(self) -> NDArray[np.float64]:
         """The agent's velocity at every epoch, plan frame, shape (epochs, 3), metres per second."""
         azimuth = self._travel_azimuths()

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.measurements import AnchorPaths, Epoch, GaussianVrp
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, Odometry
 from estimator.slam import Estimate
 from estimator.slam.protocol import Candidate, Integrity
 
@@ -23,6 +23,7 @@ __all__ = [
     "dump",
     "epoch_text",
     "estimate_document",
+    "odometry_entry",
     "read_epoch",
     "read_estimate",
     "read_sweep",
@@ -50,7 +51,16 @@ def epoch_text(epoch: Epoch) -> str:
         entry["heading_held"] = False
     if epoch.asked is not None:
         entry["asked"] = list(epoch.asked)
-    return dump(entry)
+    return dump({**entry, **odometry_entry(epoch)})
+
+
+def odometry_entry(epoch: Epoch) -> dict[str, Any]:
+    """The entry ``odometry`` of an epoch in requests and in the log; none where it brings none."""
+    told = epoch.odometry
+    if told is None:
+        return {}
+    place, spread = told.displacement_m.tolist(), told.covariance.tolist()
+    return {"odometry": {"displacement_m": place, "turn_rad": told.turn_rad, "covariance": spread}}
 
 
 def read_epoch(text: str) -> Epoch:
@@ -59,7 +69,9 @@ def read_epoch(text: str) -> Epoch:
     paths = tuple(AnchorPaths(**columns) for columns in value["paths"])
     sweep = tuple(GaussianVrp(mean, covariance) for mean, covariance in value.get("sweep", ()))
     asked = tuple(value["asked"]) if "asked" in value else None
-    return Epoch(value["epoch"], value["time_s"], paths, sweep, value.get("heading_held", True), asked)
+    held = value.get("heading_held", True)
+    moved = Odometry(**value["odometry"]) if "odometry" in value else None
+    return Epoch(value["epoch"], value["time_s"], paths, sweep, held, asked, moved)
 
 
 def sweep_text(number: int, walls: Iterable[GaussianVrp]) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 from estimator.dataset import open_dataset
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
+from service.messages.documents import odometry_entry
 
 __all__ = ["epoch_entry", "session_entry", "sweep_entry", "truth_entry"]
 
@@ -59,6 +60,7 @@ def epoch_entry(anchors: tuple[str, ...], epoch: Epoch) -> dict[str, Any]:
             if silent
             else {}
         ),
+        **odometry_entry(epoch),
     }
 
 

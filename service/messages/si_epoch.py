@@ -8,12 +8,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from estimator.errors import InputError
-from estimator.measurements import AnchorPaths, Epoch
-from service.messages.fields import Finite, Name, Number, Positive, Request
+from estimator.measurements import AnchorPaths, Epoch, Odometry
+from service.messages.fields import Finite, Name, Number, Pair, Positive, Request
 from service.messages.sweeps import Wall
 from service.messages.terms import SessionTerms
 
 __all__ = ["SiEpoch"]
+
+Triple = Annotated[list[Finite], Field(fail_fast=True, min_length=3, max_length=3)]
 
 
 class Paths(Request):
@@ -41,6 +43,16 @@ class Paths(Request):
         return AnchorPaths(np.array(self.delay_s), spread, *columns)
 
 
+class BodyMotion(Request):
+    """Odometry: how the agent's body moved since the epoch before, in the axes that it had there."""
+
+    displacement_m: Pair = Field(description="The way, x ahead, in the body's axes at the epoch before.")
+    turn_rad: Finite = Field(description="By how much the body turned meanwhile, counter-clockwise.")
+    covariance: Annotated[list[Triple], Field(fail_fast=True, min_length=3, max_length=3)] = Field(
+        description="Of displacement (m, m) and turn (rad): symmetric, no eigenvalue negative."
+    )
+
+
 class SiEpoch(Request):
     """An epoch in SI units: for each anchor by name, its paths; an anchor left out was not heard."""
 
@@ -57,6 +69,7 @@ class SiEpoch(Request):
         None,
         description="Anchors measured to at this epoch, where not all: of others, silence says nothing.",
     )
+    odometry: BodyMotion | None = None
 
     @property
     def frame_time(self) -> bool:
@@ -86,4 +99,8 @@ class SiEpoch(Request):
                 raise InputError(f"epoch {self.epoch}, anchor {name}: {error}") from error
         sweep = tuple(wall.gaussian() for wall in self.sweep)
         asked = None if self.asked is None else tuple(name in self.asked for name in names)
-        return Epoch(self.epoch, self.time_s, tuple(paths), sweep, self.heading_held, asked)
+        try:
+            moved = None if self.odometry is None else Odometry(**self.odometry.model_dump())
+        except InputError as error:
+            raise InputError(f"epoch {self.epoch}: {error}") from error
+        return Epoch(self.epoch, self.time_s, tuple(paths), sweep, self.heading_held, asked, moved)

@@ -21,6 +21,7 @@ from estimator.errors import ConfigurationError, FileFormatError
 from estimator.extract import ExtractConfig, extract, extract_epochs, sense_sweeps
 from estimator.geometry import vrp_of_line
 from estimator.measurements import Epoch, MeasurementSet, load_measurements, save_measurements
+from estimator.odometry import Odometry, odometry_variables
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
 from raytrace.plan.files import load_floorplan, updated
 from raytrace.propagation.images import image_paths
@@ -383,6 +384,17 @@ def test_every_sweep_goes_to_its_epoch(
         assert [len(epoch.sweep) for epoch in kept.epochs] == [0, 0, 4 if 2 in loud else 0]
     for wall, seen in zip(measured.walls, again.epochs[2].sweep, strict=False):
         np.testing.assert_array_equal(wall.mean_m, seen.mean_m)
+
+
+def test_odometry_goes_to_its_epoch(make: Callable[..., Dataset]) -> None:
+    """What the agent measured of its own motion is carried on, bit by bit; the first epoch has none."""
+    told = Odometry([0.5, 0.01], 0.1, 1e-3 * np.eye(3))
+    shard = passive_shard(np.zeros((2, 1, 1, GRID.tones), dtype=complex), ["a"])
+    first, second = extract_epochs(make(passive=shard.assign(odometry_variables([None, told]))))
+    assert first.odometry is None
+    assert second.odometry is not None
+    assert second.odometry.turn_rad == 0.1
+    np.testing.assert_array_equal(second.odometry.displacement_m, told.displacement_m)
 
 
 def test_a_sweep_without_channels_is_refused(make: Callable[..., Dataset]) -> None:

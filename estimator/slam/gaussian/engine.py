@@ -38,12 +38,13 @@ from estimator.slam.gaussian.lifecycle import (
     prune_confirmed,
 )
 from estimator.slam.gaussian.phase import Phase, phase_of
+from estimator.slam.gaussian.predict import predict
 from estimator.slam.gaussian.reclassification import associated_now
 from estimator.slam.gaussian.start import start
 from estimator.slam.gaussian.state import GaussianState, load_state, save_state
 from estimator.slam.gaussian.sweep_update import take_sweep
-from estimator.slam.gaussian.turns import speed_penalty, with_turns
-from estimator.slam.gaussian.update import predict_hypotheses, update_hypotheses
+from estimator.slam.gaussian.turns import speed_penalty
+from estimator.slam.gaussian.update import update_hypotheses
 from estimator.slam.methods import METHODS, Method, note_unused
 from estimator.slam.mixture_reduction import reduce_mixture
 from estimator.slam.models.clutter_guard import guard_clutter
@@ -136,22 +137,12 @@ def _check(state: GaussianState, epoch: Epoch) -> None:
 
 
 def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> GaussianState:
-    """The agent moves on, or turns where a sweep tells; features may appear and vanish."""
+    """The state at the epoch before its measurements; the first epoch is where the state begins."""
     hypotheses = state.hypotheses
     if state.epoch >= 0:
+        may_turn = state.shared and (bool(epoch.sweep) or is_tracked(state, config.anchors))
         step_s = epoch.time_s - state.time_s
-        if state.shared and (epoch.sweep or is_tracked(state, config.anchors)):
-            hypotheses = with_turns(hypotheses, step_s, config.motion)
-        hypotheses = predict_hypotheses(
-            state.layout,
-            hypotheses,
-            step_s,
-            config.motion.driving(step_s),
-            config.clocks.model,
-            config.visibility.appear_probability,
-            config.visibility.vanish_probability,
-            epoch.was_asked,
-        )
+        hypotheses = predict(state.layout, hypotheses, epoch, step_s, may_turn, config)
     return state.but(epoch=epoch.index, time_s=epoch.time_s, hypotheses=hypotheses)
 
 

@@ -22,19 +22,17 @@ from estimator.slam.association.gating import GatedPairs, GateModel, gate, path_
 from estimator.slam.gaussian.branches import Branches, empty_branches
 from estimator.slam.gaussian.branching import BranchModel, resolve
 from estimator.slam.gaussian.polar_correction import correct_along_circles
-from estimator.slam.models.clocks import ClockModel, predict_clocks
 from estimator.slam.models.directions import update_by_directions
 from estimator.slam.models.epoch_paths import EpochPaths
 from estimator.slam.models.features import active_features, possible_paths, sources
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.kalman import joint_update
-from estimator.slam.models.motion import Driving, predict_motion
 from estimator.slam.models.ordering import descending, taken
 from estimator.slam.models.path_lengths import path_lengths
 from estimator.slam.models.settings import Settings, not_negative, probability
 from estimator.slam.models.state_vector import Layout
 
-__all__ = ["Corrections", "EpochUpdate", "UpdateModel", "predict_hypotheses", "update_hypotheses"]
+__all__ = ["Corrections", "EpochUpdate", "UpdateModel", "update_hypotheses"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -96,39 +94,6 @@ class EpochUpdate(NamedTuple):
     parent: Index
     detected: Array
     explained: Array
-
-
-@compiled
-def predict_hypotheses(
-    layout: Layout,
-    hypotheses: Hypotheses,
-    step_s: float,
-    driving: Driving,
-    clocks: ClockModel,
-    appear: float,
-    vanish: float,
-    asked: Mask,
-) -> Hypotheses:
-    """Agent and clocks move on by a step; features of anchors (K,) that are asked may appear and vanish."""
-    mean, covariance = hypotheses.mean.copy(), hypotheses.covariance.copy()
-    visibility = hypotheses.visibility.copy()
-    for r in range(mean.shape[0]):
-        predict_motion(mean[r], covariance[r], driving)
-        predict_clocks(layout, covariance[r], step_s, clocks)
-        for k in range(asked.size):
-            if asked[k]:
-                for f in range(visibility.shape[2]):
-                    seen = visibility[r, k, f]
-                    visibility[r, k, f] = (1.0 - vanish) * seen + appear * (1.0 - seen)
-    return Hypotheses(
-        hypotheses.log_weight,
-        mean,
-        covariance,
-        hypotheses.located,
-        hypotheses.present,
-        visibility,
-        hypotheses.support,
-    )
 
 
 @compiled

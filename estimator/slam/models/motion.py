@@ -1,4 +1,4 @@
-"""Near-constant-velocity motion of the agent (equation (39))."""
+"""Motion of the agent: near-constant velocity (equation (39)), or what odometry measured."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from estimator.compiled import compiled
 from estimator.slam.models.settings import Settings, not_negative, positive
+from estimator.slam.models.state_vector import HEADING
 
-__all__ = ["Driving", "Motion", "predict_motion", "process_noise", "transition"]
+__all__ = ["Driving", "Motion", "predict_by_odometry", "predict_motion", "process_noise", "transition"]
 
 Array = NDArray[np.float64]
 
@@ -40,6 +41,9 @@ class Motion(Settings):
         Largest speed, as a device knows it of itself, metres a second; 0 where it is not known.
     speed_slack : float
         Share of the largest speed that it may be exceeded by: one standard deviation.
+    body_turn_std_rad : float
+        Standard deviation of the turn of the agent's body in a second of which no odometry tells: a walker's,
+        who goes round a corner now and then.
     start_std_m : float
         Standard deviation of the agent's initial position about RP, per axis, metres; 0 where
         the start defines the frame.
@@ -52,6 +56,7 @@ class Motion(Settings):
     turn_rate_hz: float = not_negative(0.04)
     max_speed_m_s: float = not_negative(0.0)
     speed_slack: float = positive(0.1)
+    body_turn_std_rad: float = not_negative(0.3)
     start_std_m: float = not_negative(0.0)
 
     def driving(self, step_s: float) -> Driving:
@@ -132,6 +137,70 @@ def predict_motion(mean: Array, covariance: Array, driving: Driving) -> None:
         covariance[a, 2 + a] += driving.both
         covariance[2 + a, a] += driving.both
         covariance[2 + a, 2 + a] += driving.speed
+    for i in range(4):  # rounding leaves the block of the agent unsymmetric
+        for j in range(n):
+            if j >= 4 or j > i:
+                mid = 0.5 * (covariance[i, j] + covariance[j, i])
+                covariance[i, j] = mid
+                covariance[j, i] = mid
+
+
+@compiled
+def predict_by_odometry(
+    mean: Array, covariance: Array, step_s: float, displacement_m: Array, turn_rad: float, spread: Array
+) -> None:
+    """Move the agent of a Gaussian on by what odometry measured, in place; anchors and walls stay.
+
+    With the body's direction psi and R its rotation, to first order in all errors::
+
+        p <- p + R(psi) d,   v <- R(psi) d / T,   psi <- psi + turn
+
+    Parameters
+    ----------
+    mean, covariance : ndarray, shape (n,), (n, n)
+        The Gaussian.
+    step_s : float
+        Time T since the epoch before, seconds.
+    displacement_m : ndarray, shape (2,)
+        d, in the body's axes at the epoch before, metres.
+    turn_rad : float
+        Turn of the body, radians.
+    spread : ndarray, shape (3, 3)
+        Covariance of both.
+    """
+    n = mean.size
+    cos, sin = np.cos(mean[HEADING]), np.sin(mean[HEADING])
+    moved = np.empty(2)
+    moved[0] = cos * displacement_m[0] - sin * displacement_m[1]
+    moved[1] = sin * displacement_m[0] + cos * displacement_m[1]
+    by_heading = np.empty(2)
+    by_heading[0], by_heading[1] = -moved[1], moved[0]
+    # derivatives of (x, y, vx, vy, psi) by (dx, dy, turn)
+    index = np.array([0, 1, 2, 3, HEADING])
+    gain = np.zeros((5, 3))
+    gain[0, 0], gain[0, 1] = cos, -sin
+    gain[1, 0], gain[1, 1] = sin, cos
+    gain[2, 0], gain[2, 1] = cos / step_s, -sin / step_s
+    gain[3, 0], gain[3, 1] = sin / step_s, cos / step_s
+    gain[4, 2] = 1.0
+    for a in range(2):
+        mean[a] += moved[a]
+        mean[2 + a] = moved[a] / step_s
+        for j in range(n):
+            covariance[a, j] += by_heading[a] * covariance[HEADING, j]
+            covariance[2 + a, j] = by_heading[a] / step_s * covariance[HEADING, j]
+    mean[HEADING] += turn_rad
+    for i in range(n):
+        for a in range(2):
+            covariance[i, a] += by_heading[a] * covariance[i, HEADING]
+            covariance[i, 2 + a] = by_heading[a] / step_s * covariance[i, HEADING]
+    for a in range(5):
+        for b in range(5):
+            noise = 0.0
+            for c in range(3):
+                for d in range(3):
+                    noise += gain[a, c] * spread[c, d] * gain[b, d]
+            covariance[index[a], index[b]] += noise
     for i in range(4):  # rounding leaves the block of the agent unsymmetric
         for j in range(n):
             if j >= 4 or j > i:

@@ -7,7 +7,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet, Odometry
 from estimator.slam import Prior, epoch_rng
 from estimator.slam.run import config_for, engine_for
 from service.messages.documents import epoch_text, estimate_document, read_epoch, read_estimate
@@ -32,7 +32,9 @@ def _random_epoch(seed: int) -> Epoch:
     root = rng.normal(size=(2, 2))
     sweep = (GaussianVrp(rng.normal(size=2), root @ root.T + np.eye(2)),)
     heard = paths(5, True, False), paths(0, False, False), paths(3, True, True)
-    return Epoch(7, rng.normal(), heard, sweep, False, (True, False, True) if seed % 2 else None)
+    asked = (True, False, True) if seed % 2 else None
+    moved = Odometry(rng.normal(size=2), rng.normal(), np.diag(rng.random(3))) if seed % 3 else None
+    return Epoch(7, rng.normal(), heard, sweep, False, asked, moved)
 
 
 def _same(one: Epoch, two: Epoch) -> bool:
@@ -48,7 +50,15 @@ def _same(one: Epoch, two: Epoch) -> bool:
         np.array_equal(a.mean_m, b.mean_m) and np.array_equal(a.covariance_m2, b.covariance_m2)
         for a, b in zip(one.sweep, two.sweep, strict=True)
     )
-    return scalars and columns and walls
+    return scalars and columns and walls and _same_odometry(one.odometry, two.odometry)
+
+
+def _same_odometry(one: Odometry | None, two: Odometry | None) -> bool:
+    if one is None or two is None:
+        return one is two
+    return all(
+        np.array_equal(getattr(one, entry.name), getattr(two, entry.name)) for entry in fields(Odometry)
+    )
 
 
 def test_epochs_survive_log_and_request() -> None:

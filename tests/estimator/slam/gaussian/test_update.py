@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 from estimator.slam.gaussian.config import GaussianConfig
-from estimator.slam.gaussian.update import predict_hypotheses, update_hypotheses
+from estimator.slam.gaussian.predict import Fading, move_on
+from estimator.slam.gaussian.update import update_hypotheses
 from estimator.slam.models.clocks import Clocks
 from estimator.slam.models.epoch_paths import EpochPaths
 from estimator.slam.models.hypotheses import Hypotheses
-from estimator.slam.models.motion import Motion, process_noise, transition
+from estimator.slam.models.motion import Motion
 from estimator.slam.models.path_lengths import predict_paths
 from estimator.slam.models.state_vector import Layout
 from tests.estimator.slam.models.test_path_lengths import state_of
@@ -95,23 +95,6 @@ def test_a_missed_feature_is_less_visible(room):
     assert after.log_weight[0] == pytest.approx(2 * np.log(1 - 0.8 * 0.95))
 
 
-def test_prediction_moves_the_agent_and_visibility():
-    """A dense prediction of the motion, and the Markov chain of appearing and vanishing."""
-    rng, layout = np.random.default_rng(2), Layout(1, 1)
-    root = rng.normal(size=(layout.size, layout.size))
-    hypotheses = one_hypothesis(layout, rng.normal(size=layout.size), root @ root.T, 0.7, [True])
-    driving = Motion(acceleration_variance=0.2).driving(0.5)
-    clocks = Clocks().model
-    after = predict_hypotheses(layout, hypotheses, 0.5, driving, clocks, 0.02, 0.1, np.array([True]))
-    still = layout.size - 4
-    a = block_diag(transition(0.5), np.eye(still))
-    q = block_diag(process_noise(0.5, 0.2), np.zeros((still, still)))
-    np.testing.assert_allclose(after.mean[0], a @ hypotheses.mean[0], atol=1e-12)
-    np.testing.assert_allclose(after.covariance[0], a @ hypotheses.covariance[0] @ a.T + q, atol=1e-10)
-    assert np.allclose(after.visibility, 0.9 * 0.7 + 0.02 * 0.3)
-    assert np.all(hypotheses.visibility == 0.7)
-
-
 def test_an_anchor_that_was_not_asked_keeps_its_visibility():
     """Neither time nor silence tells anything of it; of the one that was asked, silence does."""
     layout = Layout(2, 1)
@@ -120,7 +103,8 @@ def test_an_anchor_that_was_not_asked_keeps_its_visibility():
     mean[layout.walls] = 12.0, 0.0
     before = one_hypothesis(layout, mean, 0.01 * np.eye(layout.size), 0.7, [True])
     asked = np.array([True, False])
-    after = predict_hypotheses(layout, before, 0.5, Motion().driving(0.5), Clocks().model, 0.02, 0.1, asked)
+    fading = Fading(0.5, Clocks().model, 0.02, 0.1, asked)
+    after = move_on(layout, before, Motion().driving(0.5), 0.0, fading)
     assert np.all(after.visibility[0, 1] == 0.7)
     assert np.all(after.visibility[0, 0] != 0.7)
     done = taken(layout, before, path_table(np.ones((2, 1)), 0.1, [0, 0], asked), GaussianConfig())
