@@ -24,6 +24,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from raytrace.importers.drawing import ImportReport, Line
@@ -90,7 +91,8 @@ def collapse(lines: list[Line], thickest_m: float, report: ImportReport) -> list
                 for span in run.rest
                 if span[1] - span[0] > thickest_m
             ]
-    kept = [line for line in singles if not _is_cap(line, centres)]
+    caps = _are_caps(singles, centres)
+    kept = [line for line, cap in zip(singles, caps, strict=True) if not cap]
     if len(kept) < len(singles):
         report.collapsed["end of a wall, with its faces"] += len(singles) - len(kept)
     left = _without_overlaps(centres + kept, report)
@@ -191,30 +193,30 @@ def _continued(
 ) -> list[tuple[float, Interval, Line]]:
     """Centre lines joined over junctions: gaps that one of the faces passes without a break."""
     joined: list[tuple[float, Interval, Line]] = []
+    offsets = [run.offset for run in runs]
     for offset, span, like in sorted(
         found, key=lambda item: (item[2].material, round(item[0] / _SAME_PLACE_M), item[1])
     ):
         if joined:
             before, last, former = joined[-1]
             gap = (last[1], span[0])
-            faces = [
-                run
-                for run in runs
-                if abs(abs(run.offset - offset) - 0.5 * like.drawn_m) < _SAME_PLACE_M
-                and run.span[0] <= gap[0] + 1e-9
-                and run.span[1] >= gap[1] - 1e-9
-            ]
             if (
                 former.material == like.material
                 and abs(before - offset) < _SAME_PLACE_M
                 and abs(former.drawn_m - like.drawn_m) < _SAME_PLACE_M
                 and gap[1] - gap[0] <= thickest_m
-                and faces
+                and any(_passes(runs, offsets, offset + 0.5 * side * like.drawn_m, gap) for side in (-1, 1))
             ):
                 joined[-1] = (before, (last[0], max(last[1], span[1])), former)
                 continue
         joined.append((offset, span, like))
     return joined
+
+
+def _passes(runs: list[_Run], offsets: list[float], offset: float, gap: Interval) -> bool:
+    """Whether one of the runs, sorted by ``offsets``, has an offset and passes a gap without a break."""
+    low, high = bisect_right(offsets, offset - _SAME_PLACE_M), bisect_left(offsets, offset + _SAME_PLACE_M)
+    return any(run.span[0] <= gap[0] + 1e-9 and run.span[1] >= gap[1] - 1e-9 for run in runs[low:high])
 
 
 def _without_overlaps(lines: list[Line], report: ImportReport) -> list[Line]:
@@ -246,19 +248,30 @@ def _line(direction: Array, offset: float, span: Interval, like: Line) -> Line:
     return replace(like, start_m=(float(start[0]), float(start[1])), end_m=(float(end[0]), float(end[1])))
 
 
-def _is_cap(line: Line, centres: list[Line]) -> bool:
-    """Whether a line crosses an end of a collapsed wall from face to face."""
-    middle = 0.5 * np.add(line.start_m, line.end_m)
-    along = np.subtract(line.end_m, line.start_m) / line.length_m
-    for centre in centres:
-        if centre.material != line.material or abs(line.length_m - centre.drawn_m) > 0.1 * centre.drawn_m:
-            continue
-        start = np.asarray(centre.start_m)
-        direction = np.subtract(centre.end_m, start) / centre.length_m
-        offset = middle - start
-        at = float(offset @ direction)
-        across = abs(float(direction[0] * offset[1] - direction[1] * offset[0]))
-        near_end = min(abs(at), abs(at - centre.length_m)) <= centre.drawn_m
-        if abs(float(along @ direction)) < 0.1 and across < 0.1 * centre.drawn_m and near_end:
-            return True
-    return False
+def _are_caps(lines: list[Line], centres: list[Line]) -> NDArray[np.bool_]:
+    """Whether lines cross an end of a collapsed wall of their material from face to face; shape (lines,)."""
+    caps = np.zeros(len(lines), dtype=np.bool_)
+    if not lines or not centres:
+        return caps
+    start, end = np.moveaxis(np.array([(line.start_m, line.end_m) for line in lines]), 1, 0)
+    tips = np.array([(centre.start_m, centre.end_m) for centre in centres])
+    length, drawn = np.linalg.norm(end - start, axis=1), np.array([centre.drawn_m for centre in centres])
+    # A cap is as long as the wall is thick, but for a tenth, and no farther from its end than that.
+    tree = shapely.STRtree(shapely.points(tips.reshape(-1, 2)))
+    middles = shapely.points(0.5 * (start + end))
+    line, tip = tree.query(middles, predicate="dwithin", distance=1.2 * length)
+    centre = tip // 2
+    materials = {name: number for number, name in enumerate({each.material for each in (*lines, *centres)})}
+    made_of, of_centres = (np.array([materials[each.material] for each in some]) for some in (lines, centres))
+    thickness = drawn[centre]
+    alike = (made_of[line] == of_centres[centre]) & (np.abs(length[line] - thickness) <= 0.1 * thickness)
+    line, tip, centre, thickness = line[alike], tip[alike], centre[alike], thickness[alike]
+    direction = tips[centre, 1] - tips[centre, 0]
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    offset = 0.5 * (start[line] + end[line]) - tips[centre, tip % 2]
+    at = np.sum(offset * direction, axis=1)
+    across = np.abs(direction[:, 0] * offset[:, 1] - direction[:, 1] * offset[:, 0])
+    slant = np.abs(np.sum((end[line] - start[line]) * direction, axis=1)) / length[line]
+    found = (slant < 0.1) & (across < 0.1 * thickness) & (np.abs(at) <= thickness)
+    caps[line[found]] = True
+    return caps

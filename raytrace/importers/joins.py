@@ -12,10 +12,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import shapely
+from numpy.typing import NDArray
 
 from raytrace.importers.drawing import ImportReport, Line
 
 __all__ = ["join_ends"]
+
+Array = NDArray[np.float64]
 
 _SNAP_M = 0.01
 _ON_M = 1e-6
@@ -45,16 +49,15 @@ def join_ends(lines: list[Line], report: ImportReport) -> list[Line]:
     unit = vector / length[:, None]
     drawn = np.array([line.drawn_m for line in lines])
     joined = []
-    for row, line in enumerate(lines):
-        sine = unit[row, 0] * unit[:, 1] - unit[row, 1] * unit[:, 0]
-        offset = start - start[row]
+    for row, (line, others) in enumerate(zip(lines, _neighbours(start, vector, drawn), strict=True)):
+        sine = unit[row, 0] * unit[others, 1] - unit[row, 1] * unit[others, 0]
+        offset = start[others] - start[row]
         with np.errstate(divide="ignore", invalid="ignore"):
-            along = (offset[:, 0] * unit[:, 1] - offset[:, 1] * unit[:, 0]) / sine
+            along = (offset[:, 0] * unit[others, 1] - offset[:, 1] * unit[others, 0]) / sine
             across = (offset[:, 0] * unit[row, 1] - offset[:, 1] * unit[row, 0]) / sine
         steep = np.abs(sine) >= _FLATTEST_SINE
-        reach = 0.5 * (drawn + drawn[row]) / np.maximum(np.abs(sine), _FLATTEST_SINE) + _SNAP_M
-        meets = steep & (across >= -reach) & (across <= length + reach)
-        meets[row] = False
+        reach = 0.5 * (drawn[others] + drawn[row]) / np.maximum(np.abs(sine), _FLATTEST_SINE) + _SNAP_M
+        meets = steep & (across >= -reach) & (across <= length[others] + reach) & (others != row)
         ends = []
         for at in (0.0, length[row]):
             gap = np.where(meets, np.abs(along - at), np.inf)
@@ -70,3 +73,17 @@ def join_ends(lines: list[Line], report: ImportReport) -> list[Line]:
             report.dropped["line that lay within another wall"] += 1
     report.collapsed = +report.collapsed
     return joined
+
+
+def _neighbours(start: Array, vector: Array, drawn: Array) -> list[NDArray[np.int64]]:
+    """For each line those, in ascending order, that may meet it beyond its ends; itself is among them.
+
+    Where they meet is within reach of its end and of theirs, so that these are within twice the reach.
+    """
+    lines = shapely.linestrings(np.stack([start, start + vector], axis=1))
+    ends = shapely.points(np.stack([start, start + vector], axis=1).reshape(-1, 2))
+    reach = 0.5 * (drawn + drawn.max()) / _FLATTEST_SINE + _SNAP_M
+    end, other = shapely.STRtree(lines).query(ends, predicate="dwithin", distance=np.repeat(2.0 * reach, 2))
+    pairs = np.unique((end // 2) * len(lines) + other)
+    first = np.searchsorted(pairs, np.arange(1, len(lines)) * len(lines))
+    return np.split(pairs % len(lines), first)

@@ -134,3 +134,22 @@ def test_untouched_lines_keep_their_bits() -> None:
     """A drawing of single lines that meet comes back exactly as it was."""
     lines = box(0.1, 0.2, 7.3, 4.9)
     assert set(surfaces(lines)[0]) == set(lines)
+
+
+def test_many_walls_cost_as_many_times_one() -> None:
+    """A hundred rooms far from one another become what each becomes alone, caps and jambs with them."""
+    room = box(0, 0, 6, 5) + box(0.3, 0.3, 5.7, 4.7)
+    spur = [line((3.0, 0.3), (3.0, 2.0)), line((3.1, 0.3), (3.1, 2.0)), line((3.0, 2.0), (3.1, 2.0))]
+    alone, _ = surfaces(room + spur)
+    places = [(20.0 * (index % 10) + 3.1 * (index // 10), 17.0 * (index // 10)) for index in range(100)]
+
+    def moved(lines: list[Line], dx: float, dy: float) -> list[Line]:
+        return [
+            line(*((round(x + dx, 6), round(y + dy, 6)) for x, y in (one.start_m, one.end_m)))
+            for one in lines
+        ]
+
+    walls, report = surfaces([one for dx, dy in places for one in moved(room + spur, dx, dy)])
+    assert ends(walls) == set().union(*(ends(moved(alone, dx, dy)) for dx, dy in places))
+    assert len(walls) == 100 * len(alone) == 500
+    assert report.collapsed["end of a wall, with its faces"] == 100
