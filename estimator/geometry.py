@@ -27,6 +27,8 @@ __all__ = [
     "rotate_by_angle_of",
     "rotation_matrix",
     "segments_cross",
+    "vrp_by_image",
+    "vrp_by_point",
     "vrp_of_image",
     "vrp_of_line",
     "wall_normal",
@@ -130,28 +132,35 @@ def vrp_of_line(start: ArrayLike, end: ArrayLike, reference: ArrayLike = (0.0, 0
     return mirror_in_wall(reference, start, end)
 
 
-def vrp_of_image(image: ArrayLike, position: ArrayLike) -> tuple[Array, Array, Array]:
-    """VRP, RP at the origin, of a wall that shows the agent its mirror image.
+def vrp_of_image(image: Array, point: Array) -> Array:
+    """VRPs of the walls half-way between points and their mirror images, (3), RP at the origin.
 
     Parameters
     ----------
-    image : array_like, shape (2,)
-        The agent's mirror image relative to the agent, metres.
-    position : array_like, shape (2,)
-        The agent relative to RP, metres.
+    image, point : ndarray, shape (..., 2)
+        An anchor's virtual anchor and the anchor, or the agent's image and the agent, metres.
 
     Returns
     -------
-    vrp : ndarray, shape (2,)
-        ``(1 + 2 p.i / |i|^2) i``.
-    by_image, by_position : ndarray, shape (2, 2)
-        Its derivatives.
+    ndarray, shape (..., 2)
     """
-    i, p = np.asarray(image, dtype=np.float64), np.asarray(position, dtype=np.float64)
-    square = float(i @ i)
-    share = 2.0 * float(p @ i) / square
-    by_image = (1.0 + share) * np.eye(2) + 2.0 / square * np.outer(i, p - share * i)
-    return mirror((0.0, 0.0), p + i, p), by_image, 2.0 / square * np.outer(i, i)
+    chord = image - point
+    rise = np.sum(image * image, axis=-1) - np.sum(point * point, axis=-1)
+    return np.asarray((rise / np.sum(chord * chord, axis=-1))[..., None] * chord)
+
+
+def vrp_by_image(image: Array, point: Array) -> Array:
+    """Jacobians (..., 2, 2) of VRPs by the images (..., 2) of points (..., 2) that stay."""
+    chord = image - point
+    square = np.sum(chord * chord, axis=-1)[..., None, None]
+    rise = (np.sum(image * image, axis=-1) - np.sum(point * point, axis=-1))[..., None, None]
+    by_scale = 2.0 * (image[..., None, :] - rise / square * chord[..., None, :])
+    return np.asarray((chord[..., :, None] * by_scale + rise * np.eye(2)) / square)
+
+
+def vrp_by_point(image: Array, point: Array) -> Array:
+    """Jacobians (..., 2, 2) of VRPs by points (..., 2), of images (..., 2) that stay."""
+    return vrp_by_image(point, image)  # the wall is that of the two exchanged
 
 
 def rotation_matrix(angle_rad: float) -> Array:

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.arrays import BeamSet
 from estimator.errors import ConfigurationError, InputError
-from estimator.geometry import vrp_of_image
+from estimator.geometry import vrp_by_image, vrp_of_image
 from estimator.measurements import GaussianVrp
 from estimator.sensing.uncertainty import checked_ranges
 
@@ -300,6 +300,7 @@ def fit_wall(
 
 def seen_from_reference(image_m: Array, covariance_m2: Array, position_m: Array) -> GaussianVrp:
     """VRP, with covariance, of a wall known by the image of the agent at ``position_m`` relative to it."""
-    vrp, by_image, _ = vrp_of_image(image_m, position_m)
+    image = position_m + image_m
+    by_image = vrp_by_image(image, position_m)
     covariance = by_image @ covariance_m2 @ by_image.T
-    return GaussianVrp(vrp, 0.5 * (covariance + covariance.T))
+    return GaussianVrp(vrp_of_image(image, position_m), 0.5 * (covariance + covariance.T))

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.geometry import vrp_by_image, vrp_of_image
 from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.models.hypotheses import moments
-from estimator.slam.models.virtual_anchors import VirtualAnchors, vrp_by_image, vrp_of_image
+from estimator.slam.models.virtual_anchors import VirtualAnchors
 
 __all__ = ["Wall", "virtual_walls"]
 

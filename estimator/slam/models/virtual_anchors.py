@@ -12,36 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.geometry import vrp_of_image
 from estimator.slam.models.state_vector import FIRST_ANCHOR, PER_ANCHOR, Layout
 
-__all__ = ["VirtualAnchors", "implied_walls", "vrp_by_anchor", "vrp_by_image", "vrp_of_image"]
+__all__ = ["VirtualAnchors", "implied_walls"]
 
 Array = NDArray[np.float64]
-
-
-def vrp_of_image(image: Array, anchor: Array) -> Array:
-    """VRPs of the walls half-way between anchors and virtual anchors, (3), RP at the origin; (..., 2)."""
-    chord = image - anchor
-    rise = np.sum(image * image, axis=-1) - np.sum(anchor * anchor, axis=-1)
-    return np.asarray((rise / np.sum(chord * chord, axis=-1))[..., None] * chord)
-
-
-def vrp_by_image(image: Array, anchor: Array) -> Array:
-    """Jacobians (..., 2, 2) of VRPs by virtual anchors (..., 2) of anchors (..., 2)."""
-    chord = image - anchor
-    square = np.sum(chord * chord, axis=-1)[..., None, None]
-    rise = (np.sum(image * image, axis=-1) - np.sum(anchor * anchor, axis=-1))[..., None, None]
-    by_scale = 2.0 * (image[..., None, :] - rise / square * chord[..., None, :])
-    return np.asarray((chord[..., :, None] * by_scale + rise * np.eye(2)) / square)
-
-
-def vrp_by_anchor(image: Array, anchor: Array) -> Array:
-    """Jacobians (..., 2, 2) of VRPs by anchors (..., 2), of virtual anchors (..., 2) that stay."""
-    chord = image - anchor
-    square = np.sum(chord * chord, axis=-1)[..., None, None]
-    rise = (np.sum(image * image, axis=-1) - np.sum(anchor * anchor, axis=-1))[..., None, None]
-    by_scale = 2.0 * (rise / square * chord[..., None, :] - anchor[..., None, :])
-    return np.asarray((chord[..., :, None] * by_scale - rise * np.eye(2)) / square)
 
 
 class VirtualAnchors(NamedTuple):

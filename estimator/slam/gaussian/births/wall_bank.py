@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
+from estimator.geometry import vrp_by_image, vrp_by_point, vrp_of_image
 from estimator.slam.gaussian.births.config import Births
 from estimator.slam.gaussian.births.lines import Line
 from estimator.slam.models.features import side_of_wall
 from estimator.slam.models.state_vector import POSITION, Layout
-from estimator.slam.models.virtual_anchors import vrp_by_anchor, vrp_by_image, vrp_of_image
 
 __all__ = ["Bank", "Known", "wall_bank"]
 
@@ -157,7 +157,7 @@ def wall_bank(
     by_length = (by_image @ unit[..., None])[..., 0]
     by_device = np.concatenate(
         [
-            vrp_by_anchor(image[index], anchor),
+            vrp_by_point(image[index], anchor),
             (-0.5 / flat[-1] * by_length)[..., None],
             (-(line.length_m[-1] - device[3]) / flat[-1] * by_length)[..., None],
         ],

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.geometry import mirror
+from estimator.geometry import mirror, vrp_by_image, vrp_by_point, vrp_of_image
 from estimator.slam.models.directions import predict_azimuths
 from estimator.slam.models.path_lengths import predict_paths
 from estimator.slam.models.state_vector import THETA, Layout
 from estimator.slam.models.virtual_anchors import (
     VirtualAnchors,
     implied_walls,
-    vrp_by_anchor,
-    vrp_by_image,
-    vrp_of_image,
 )
 
 TINY = 1e-30  # complex step
@@ -109,7 +106,7 @@ def test_derivatives_of_the_wall_and_of_the_point():
         by_image = vrp_of_image(image + step, anchor).imag / TINY
         by_anchor = vrp_of_image(image, anchor + step).imag / TINY
         np.testing.assert_allclose(vrp_by_image(image, anchor)[:, i], by_image, rtol=1e-12)
-        np.testing.assert_allclose(vrp_by_anchor(image, anchor)[:, i], by_anchor, rtol=1e-12)
+        np.testing.assert_allclose(vrp_by_point(image, anchor)[:, i], by_anchor, rtol=1e-12)
         shifted = some_state().astype(complex)
         shifted[:, LAYOUT.walls.start + i] += 1j * TINY
         by_slot = sources(shifted)[:, 0, 1].imag / TINY
