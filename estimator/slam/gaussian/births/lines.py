@@ -47,26 +47,60 @@ class Line:
 
 
 @compiled
-def company(time: Array, length: Array, std: Array, place: Array, latest: Index) -> Index:
-    """Of each path at ``latest``, how many others it could be one line with, as far as the agent has moved.
+def may_be_one_line(
+    length: float, std: float, place: Array, other_length: float, other_std: float, other_place: Array
+) -> bool:
+    """Whether two paths differ by no more than the agent moved between their places (2,) and errors."""
+    dx, dy = place[0] - other_place[0], place[1] - other_place[1]
+    reach = np.sqrt(dx * dx + dy * dy) + 4.0 * np.sqrt(std * std + other_std * other_std)
+    return bool(abs(length - other_length) < reach)
+
+
+@compiled
+def recent_paths(buffer: PathBuffer, now: int, window: int, limit_db: Array) -> tuple[Index, Index]:
+    """Rows (N,) of the paths that may make a line, and the rows of the track that they were heard at."""
+    track, offset, found = buffer.track, 0, 0
+    row, place = np.empty(buffer.epoch.size, dtype=np.int64), np.empty(buffer.epoch.size, dtype=np.int64)
+    for n in range(buffer.epoch.size):
+        strong = not buffer.excess_loss_db[n] >= limit_db[buffer.anchor[n]]  # unknown powers pass
+        if buffer.epoch[n] <= now - window or not buffer.unassociated[n] or not strong:
+            continue
+        while track.epoch[offset] < buffer.epoch[n]:
+            offset += 1
+        row[found], place[found] = n, offset
+        found += 1
+    return row[:found], place[:found]
+
+
+@compiled
+def company(buffer: PathBuffer, row: Index, place: Index, now: int, range_std_m: float) -> Index:
+    """Of each path (N,) of the last two epochs, how many of its anchor it may be one line with; else 0.
 
     Parameters
     ----------
-    time, length, std : ndarray, shape (N,)
-        Epochs, path lengths and standard deviations.
-    place : ndarray, shape (N, 2)
-        Where the agent was.
-    latest : ndarray of int64, shape (S,)
-        Which paths to ask about.
+    buffer : PathBuffer
+        Recent paths and where the agent was.
+    row, place : ndarray of int64, shape (N,)
+        The paths, and where the agent was (:func:`recent_paths`).
+    now : int
+        Present epoch.
+    range_std_m : float
+        Smallest standard deviation of a path length, metres.
     """
-    count = np.zeros(latest.size, dtype=np.int64)
-    for s in range(latest.size):
-        b = latest[s]
-        for a in range(time.size):
-            dx, dy = place[a, 0] - place[b, 0], place[a, 1] - place[b, 1]
-            reach = np.sqrt(dx * dx + dy * dy) + 4.0 * np.sqrt(std[a] ** 2 + std[b] ** 2)
-            if abs(length[a] - length[b]) < reach:
-                count[s] += 1
+    count, track = np.zeros(row.size, dtype=np.int64), buffer.track
+    for b in range(row.size - 1, -1, -1):
+        if buffer.epoch[row[b]] < now - 1:
+            break
+        for a in range(row.size):
+            if buffer.anchor[row[a]] == buffer.anchor[row[b]] and may_be_one_line(
+                buffer.length_m[row[b]],
+                max(buffer.std_m[row[b]], range_std_m),
+                track.position_m[place[b]],
+                buffer.length_m[row[a]],
+                max(buffer.std_m[row[a]], range_std_m),
+                track.position_m[place[a]],
+            ):
+                count[b] += 1
     return count
 
 
@@ -84,9 +118,7 @@ def slope_votes(
         gap = time[b] - time[a]
         if gap < apart:
             continue
-        dx, dy = place[a, 0] - place[b, 0], place[a, 1] - place[b, 1]
-        reach = np.sqrt(dx * dx + dy * dy) + 4.0 * np.sqrt(std[a] ** 2 + std[b] ** 2)
-        if not abs(length[b] - length[a]) < reach:
+        if not may_be_one_line(length[a], std[a], place[a], length[b], std[b], place[b]):
             continue
         middle, half = (length[b] - length[a]) / gap, sigma * std[a] / gap
         begin[votes], end[votes] = middle - half, middle + half
@@ -112,44 +144,6 @@ def most_overlap(first: Array, last: Array) -> tuple[int, float]:
     return most, at
 
 
-@compiled
-def crowded(
-    buffer: PathBuffer, now: int, limit_db: Array, range_std_m: float, window: int, support: int
-) -> bool:
-    """Whether some path of the last two epochs has company in enough others: a quick test for most epochs."""
-    count, track = buffer.epoch.size, buffer.track
-    first = 0
-    while first < count and buffer.epoch[first] <= now - window:
-        first += 1
-    offset = 0
-    row = np.empty(count, dtype=np.int64)
-    use = np.zeros(count, dtype=np.bool_)
-    for n in range(first, count):
-        while track.epoch[offset] < buffer.epoch[n]:
-            offset += 1
-        row[n] = offset
-        use[n] = buffer.unassociated[n] and not buffer.excess_loss_db[n] >= limit_db[buffer.anchor[n]]
-    for b in range(count - 1, first - 1, -1):
-        if buffer.epoch[b] < now - 1:
-            break
-        if not use[b]:
-            continue
-        near = 0
-        own = max(buffer.std_m[b], range_std_m)
-        for a in range(first, count):
-            if not use[a] or buffer.anchor[a] != buffer.anchor[b]:
-                continue
-            dx = track.position_m[row[a], 0] - track.position_m[row[b], 0]
-            dy = track.position_m[row[a], 1] - track.position_m[row[b], 1]
-            other = max(buffer.std_m[a], range_std_m)
-            reach = np.sqrt(dx * dx + dy * dy) + 4.0 * np.sqrt(own * own + other * other)
-            if abs(buffer.length_m[a] - buffer.length_m[b]) < reach:
-                near += 1
-                if near >= support:
-                    return True
-    return False
-
-
 def find_line(
     buffer: PathBuffer, now: int, limit_db: Array, range_std_m: float, config: Births
 ) -> Line | None:
@@ -169,35 +163,28 @@ def find_line(
     config : Births
         Windows and limits.
     """
-    if not crowded(buffer, now, limit_db, range_std_m, config.birth_window, config.birth_support):
-        return None
-    use = buffer.unassociated & (buffer.epoch > now - config.birth_window)
-    rows = np.flatnonzero(use)
-    if rows.size < config.birth_support:
-        return None
-    anchor = buffer.anchor[rows]
-    strong = ~(buffer.excess_loss_db[rows] >= limit_db[anchor])  # unknown powers pass
-    rows, anchor = rows[strong], anchor[strong]
+    rows, place = recent_paths(buffer, now, config.birth_window, limit_db)
+    near = company(buffer, rows, place, now, range_std_m)
     best: Line | None = None
-    for k in np.flatnonzero(np.bincount(anchor) >= config.birth_support).tolist():
-        line = _best_line(buffer, rows[anchor == k], now, range_std_m, config)
+    anchor = buffer.anchor[rows]
+    for k in np.unique(anchor[near >= config.birth_support]).tolist():
+        mine = anchor == k
+        line = _best_line(buffer, rows[mine], place[mine], near[mine], now, range_std_m, config)
         if line is not None and (best is None or len(line.row) > len(best.row)):
             best = line
     return best
 
 
-def _best_line(buffer: PathBuffer, rows: Index, now: int, range_std_m: float, config: Births) -> Line | None:
-    """The line with most support among the paths at ``rows`` of one anchor."""
-    latest = np.flatnonzero(buffer.epoch[rows] >= now - 1)
-    if latest.size == 0:
-        return None
+def _best_line(
+    buffer: PathBuffer, rows: Index, places: Index, near: Index, now: int, range_std_m: float, config: Births
+) -> Line | None:
+    """The line with most support among one anchor's paths at ``rows``, which have ``near`` others each."""
     time, length = buffer.epoch[rows].astype(np.float64), buffer.length_m[rows]
     std = np.maximum(buffer.std_m[rows], range_std_m)
-    place = buffer.track.position_m[buffer.row_of(buffer.epoch[rows])]
-    near = company(time, length, std, place, latest)
+    place = buffer.track.position_m[places]
     order = np.argsort(-near, kind="stable")[: config.most_line_paths]
     most, slope, through = 0, 0.0, -1
-    for b in latest[order[near[order] >= config.birth_support]].tolist():
+    for b in order[near[order] >= config.birth_support].tolist():
         begin, end = slope_votes(time, length, std, place, b, config.line_sigma, config.line_epochs)
         if begin.size == 0:
             continue
