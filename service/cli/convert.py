@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 import typer
 
 from estimator.errors import ConfigurationError, InputError
@@ -81,6 +80,8 @@ def register(app: typer.Typer) -> None:
         ] = False,
     ) -> None:
         """Make a measurement file of ranges that were measured with known anchors."""
+        import numpy as np
+
         from estimator.dataset import require_absent
         from estimator.measurements import save_measurements
         from estimator.readers.describe import described
@@ -146,6 +147,8 @@ def _read(path: Path, layout: str, names: tuple[str, ...], count: int, step_s: f
 
 def _several(log: RangeLog) -> bool:
     """Whether an anchor has several ranges at one time."""
+    import numpy as np
+
     heard = np.isfinite(log.range_m)
     pairs = np.stack([log.time_s[heard], log.anchor[heard]], axis=1)
     return len(np.unique(pairs, axis=0)) < len(pairs)
