@@ -140,7 +140,7 @@ def note_unused(method: Method, known: _Known, *, anchors_used: bool) -> None:
     """
     if known.walls and not method.walls:
         _LOG.info(
-            "method %s takes no walls: %d sensed at the start are not used; hybrid uses them and known anchors",
+            "method %s takes no walls: %d sensed at the start are not used; hybrid takes both",
             method.name,
             len(known.walls),
         )

@@ -50,6 +50,7 @@ from estimator.slam.mixture_reduction import reduce_mixture
 from estimator.slam.models.clutter_guard import guard_clutter
 from estimator.slam.models.epoch_paths import EpochPaths, stack_paths
 from estimator.slam.models.extents import widen_extents
+from estimator.slam.models.features import active_features
 from estimator.slam.models.hypotheses import Hypotheses, log_sum_exp
 from estimator.slam.models.noise_level import believed, learned
 from estimator.slam.models.path_loss import learn_losses
@@ -176,7 +177,8 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
         layout,
         before.mean[best],
         before.covariance[best],
-        before.located[best],
+        active_features(layout, before.located[best], before.present[best], slots.confirmed, slots.owner),
+        before.visibility[best],
         paths,
         config.noise.range_std_m,
         state.levels,

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from estimator.compiled import compiled
 from estimator.slam.models.epoch_paths import EpochPaths
-from estimator.slam.models.features import MOST_ENTRIES, sources
+from estimator.slam.models.features import MOST_ENTRIES, possible_paths, sources
 from estimator.slam.models.kalman import projected
 from estimator.slam.models.path_lengths import length_gradient, path_lengths
-from estimator.slam.models.settings import Settings, not_negative, positive
+from estimator.slam.models.settings import Settings, not_negative, positive, probability
 from estimator.slam.models.state_vector import FIRST_ANCHOR, PER_ANCHOR, Layout
 
 __all__ = ["LevelModel", "Levels", "NoiseLevel", "believed", "first_levels", "learned"]
@@ -45,16 +45,19 @@ class NoiseLevel(Settings):
         Measurements that the claim weighs at the start.
     level_sigma : float
         An innovation counts as no more than so many standard deviations: it may be another path.
+    level_visibility : float
+        Features that are visible at least this surely tell the level.
     doubt_level : float
         Nothing is born while an anchor's level is above this: what fits nothing may be what is known.
     """
 
     alike_s: float = not_negative(0.0)
     level_memory: float = not_negative(0.0)
-    least_level: float = positive(0.2)
+    least_level: float = positive(0.1)
     most_level: float = positive(25.0)
-    level_prior: float = positive(10.0)
+    level_prior: float = positive(3.0)
     level_sigma: float = positive(4.0)
+    level_visibility: float = probability(0.8)
     doubt_level: float = positive(2.25)
 
     @property
@@ -67,6 +70,7 @@ class NoiseLevel(Settings):
             self.most_level,
             self.level_prior,
             self.level_sigma,
+            self.level_visibility,
         )
 
 
@@ -79,6 +83,7 @@ class LevelModel(NamedTuple):
     most: float
     prior: float
     sigma: float
+    visibility: float
 
 
 class Levels(NamedTuple):
@@ -138,16 +143,17 @@ def learned(
     layout: Layout,
     mean: Array,
     covariance: Array,
-    located: Mask,
+    active: Mask,
+    visibility: Array,
     paths: EpochPaths,
     range_std_m: float,
     levels: Levels,
     time_s: float,
     model: LevelModel,
 ) -> Levels:
-    """The levels after an epoch: lines of sight tell them.
+    """The levels after an epoch: lines of sight and single bounces that are surely visible tell them.
 
-    Time is that of the anchors' lines of sight.
+    Time is that of these features, times the paths.
 
     Parameters
     ----------
@@ -155,8 +161,10 @@ def learned(
         Positions in the state vector.
     mean, covariance : ndarray, shapes (n,) and (n, n)
         The likeliest hypothesis, predicted.
-    located : ndarray of bool, shape (K,)
-        Anchors that it has located.
+    active : ndarray of bool, shape (K, F)
+        Features that it has.
+    visibility : ndarray, shape (K, F)
+        Probability that each is visible.
     paths : EpochPaths
         The epoch's paths with the deviations that are believed.
     range_std_m : float
@@ -169,35 +177,37 @@ def learned(
         How to learn.
     """
     after = Levels(levels.heard_s.copy(), levels.level.copy(), levels.told_by.copy())
-    sight = np.zeros((layout.anchors, 1 + layout.slots + (layout.slots**2 if layout.shared else 0)), np.bool_)
-    sight[:, 0] = True
-    source = sources(layout, mean, sight)
+    source = sources(layout, mean, active)
     slanted = path_lengths(layout, mean, source)
+    possible = possible_paths(layout, mean, source, active)
     index, value = np.empty(MOST_ENTRIES, dtype=np.int64), np.empty(MOST_ENTRIES)
     cross = np.empty(mean.size)
     for k in range(layout.anchors):
         if paths.number[k] == 0:
             continue
-        alike = _alike(levels, k, time_s, model)
+        # of errors that are alike, innovations show but a part
+        least = model.least if _alike(levels, k, time_s, model) < 2.0 else 1.0
         after.heard_s[k] = time_s
-        if model.memory == 0.0 or not located[k]:
+        if model.memory == 0.0:
             continue
-        expected = slanted[k, 0] + mean[FIRST_ANCHOR + PER_ANCHOR * k + 3]
-        nearest, gap = 0, np.inf
-        for j in range(paths.number[k]):
-            if abs(paths.length_m[k, j] - expected) < abs(gap):
-                nearest, gap = j, paths.length_m[k, j] - expected
-        entries = length_gradient(layout, mean, source, k, 0, slanted[k, 0], index, value)
-        spread = projected(covariance, index, value, entries, cross)
-        noise = max(paths.std_m[k, nearest], range_std_m) ** 2
-        total = spread + noise
-        if gap * gap > (2.0 * model.sigma) ** 2 * total and paths.number[k] > 1:
-            continue  # its line of sight is not there
-        square = min(gap * gap / total, model.sigma**2)
-        # the mean square of the error, given the innovation, over what was believed
-        shown = levels.level[k] * (noise / total * square + spread / total)
-        after.told_by[k] = min(levels.told_by[k] + 1.0, model.memory)
-        level = levels.level[k] + (shown - levels.level[k]) / (model.prior + after.told_by[k])
-        least = model.least if alike < 2.0 else 1.0  # of errors that are alike, innovations show but a part
-        after.level[k] = min(max(level, least), model.most)
+        for f in range(1 + layout.slots):
+            if not (possible[k, f] and visibility[k, f] >= model.visibility):
+                continue
+            expected = slanted[k, f] + mean[FIRST_ANCHOR + PER_ANCHOR * k + 3]
+            nearest, gap = 0, np.inf
+            for j in range(paths.number[k]):
+                if abs(paths.length_m[k, j] - expected) < abs(gap):
+                    nearest, gap = j, paths.length_m[k, j] - expected
+            entries = length_gradient(layout, mean, source, k, f, slanted[k, f], index, value)
+            spread = projected(covariance, index, value, entries, cross)
+            noise = max(paths.std_m[k, nearest], range_std_m) ** 2
+            total = spread + noise
+            if gap * gap > (2.0 * model.sigma) ** 2 * total and (paths.number[k] > 1 or f > 0):
+                continue  # its path is not there
+            square = min(gap * gap / total, model.sigma**2)
+            # the mean square of the error, given the innovation, over what was believed
+            shown = levels.level[k] * (noise / total * square + spread / total)
+            after.told_by[k] = min(after.told_by[k] + 1.0, model.memory)
+            level = after.level[k] + (shown - after.level[k]) / (model.prior + after.told_by[k])
+            after.level[k] = min(max(level, least), model.most)
     return after

@@ -12,6 +12,8 @@ from estimator.slam.models.state_vector import Layout
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 
 LAYOUT = Layout(2, 1)
+ACTIVE = np.array([[True, False, False]] * 2)  # lines of sight alone
+VISIBLE = np.full((2, 3), 0.9)
 PLACES = np.array([[5.0, 0.0], [0.0, 8.0]])
 
 
@@ -41,9 +43,7 @@ def taught(true_std, epochs=2000, alike_s=0.0, step_s=1.0, extra=(), seed=4):
         off = 0.05 * rng.normal(size=2)
         lengths = np.linalg.norm(PLACES - off, axis=1) + true_std * rng.normal(size=2)
         paths = believed(table([[lengths[0], *extra], [lengths[1]]]), levels, t * step_s, model)
-        levels = learned(
-            LAYOUT, mean, covariance, np.ones(2, dtype=bool), paths, 0.01, levels, t * step_s, model
-        )
+        levels = learned(LAYOUT, mean, covariance, ACTIVE, VISIBLE, paths, 0.01, levels, t * step_s, model)
         told.append(levels.level[0])
     return levels, np.mean(told[-200:])
 
@@ -81,7 +81,8 @@ def test_without_memory_the_claim_is_believed():
         LAYOUT,
         np.ones(LAYOUT.size),
         np.eye(LAYOUT.size),
-        np.ones(2, dtype=bool),
+        ACTIVE,
+        VISIBLE,
         paths,
         0.01,
         levels,
@@ -90,3 +91,23 @@ def test_without_memory_the_claim_is_believed():
     )
     assert after.level.tolist() == [1.0, 1.0]
     assert after.heard_s.tolist() == [3.0, -np.inf]
+
+
+def test_bounces_tell_the_level_too():
+    """Where a wall is surely visible, its paths count as lines of sight do; where it is not, they do not."""
+    mean = np.zeros(LAYOUT.size)
+    for k in range(2):
+        mean[LAYOUT.anchor_xy(k)] = PLACES[k]
+    mean[LAYOUT.walls] = 30.0, 0.0
+    levels, model = first_levels(2), NoiseLevel(level_memory=100.0).model
+    direct, bounce = 5.0, 30.0 - 5.0
+    paths = table([[direct, bounce + 0.3], []])
+    both = np.array([[True, True, False]] * 2)
+
+    def level(visibility):
+        seen = np.array([[0.9, visibility, 0.0]] * 2)
+        covariance = np.zeros((LAYOUT.size, LAYOUT.size))
+        return learned(LAYOUT, mean, covariance, both, seen, paths, 0.01, levels, 0.0, model).level[0]
+
+    assert level(0.5) < 1.0  # an exact line of sight, and a bounce that nobody is sure of
+    assert level(0.9) > 1.5  # an innovation of three standard deviations
