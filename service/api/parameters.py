@@ -17,8 +17,7 @@ async def known_parameters(request: Request) -> None:
     route = request.scope.get("route")
     if not request.query_params or not isinstance(route, APIRoute):
         return
-    described = (route.openapi_extra or {}).get("parameters", ())
-    known = _names(route.dependant) | {entry["name"] for entry in described if entry["in"] == "query"}
+    known = _names(route.dependant)
     for name in request.query_params:
         if name not in known:
             expected = f"one of {', '.join(sorted(known))}" if known else "no parameters"

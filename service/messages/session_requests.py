@@ -79,7 +79,8 @@ class SessionRequest(Request):
     anchors: Annotated[list[Name], Field(fail_fast=True, min_length=1, max_length=1000)]
     carrier_hz: Positive
     measurement_model: Annotated[
-        dict[Annotated[str, Field(max_length=100)], int | Finite], Field(max_length=100)
+        dict[Annotated[str, Field(max_length=100)], Annotated[int, Field(strict=True)] | Finite],
+        Field(max_length=100),
     ] = Field(default_factory=dict, description="Fields of the engine's configuration; the rest is default.")
     known_anchors_m: Annotated[list[Pair], Field(fail_fast=True, max_length=1000)] | None = Field(
         None, description="The anchors' places in the estimator's frame, for methods that know them."

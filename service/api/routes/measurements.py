@@ -28,14 +28,14 @@ router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["measurements"])
 
 # Of the other route at this path, :mod:`service.api.routes.echoes`, which takes bodies of another type.
 _ECHO_QUERY: dict[str, dict[str, object]] = {
-    "sweep": {"type": "integer", "minimum": 0, "maximum": 2**31 - 2, "default": 0},
+    "sweep": {"type": "integer", "minimum": 0, "maximum": 2**31 - 2},
     "noise_variance": {"type": "number", "exclusiveMinimum": 0, "maximum": 1e6},
-    "panels": {"type": "integer", "minimum": 1, "maximum": 64, "default": 4},
-    "elements": {"type": "integer", "minimum": 1, "maximum": 1024, "default": 16},
-    "beams": {"type": "integer", "minimum": 1, "maximum": 1024, "default": 64},
-    "spacing_wavelengths": {"type": "number", "exclusiveMinimum": 0, "maximum": 10, "default": 0.5},
-    "heading_rad": {"type": "number", "minimum": -1e9, "maximum": 1e9, "default": 0},
-    "model": {"type": "string", "enum": ["flash", "beams"], "default": "flash"},
+    "panels": {"type": "integer", "minimum": 1, "maximum": 64},
+    "elements": {"type": "integer", "minimum": 1, "maximum": 1024},
+    "beams": {"type": "integer", "minimum": 1, "maximum": 1024},
+    "spacing_wavelengths": {"type": "number", "exclusiveMinimum": 0, "maximum": 10},
+    "heading_rad": {"type": "number", "minimum": -1e9, "maximum": 1e9},
+    "model": {"type": "string", "enum": ["flash", "beams"]},
 }
 _SWEEP = {
     **json_content(SweepRequest, binary=True),
@@ -45,7 +45,7 @@ _SWEEP = {
             "in": "query",
             "required": False,
             "schema": schema,
-            "description": "Of a raw beam sweep.",
+            "description": "Of a raw beam sweep alone.",
         }
         for name, schema in _ECHO_QUERY.items()
     ],

@@ -28,6 +28,16 @@ __all__ = ["Once", "OnceDep", "create_session", "read", "router", "session_docum
 
 router = APIRouter(prefix="/v1", tags=["sessions"])
 Once = tuple[str, bytes] | None
+_TRUTH: dict[int | str, Any] = {
+    200: {
+        "description": "The truth, or null",
+        "content": {
+            "application/json": {
+                "schema": {"anyOf": [{"$ref": "#/components/schemas/Truth"}, {"type": "null"}]}
+            }
+        },
+    }
+}
 
 
 async def _once(
@@ -207,7 +217,7 @@ async def put_truth(request: Request, session: SessionDep, here: ContextDep) -> 
     "/sessions/{session_id}/truth",
     summary="Read the truth",
     response_class=Response,
-    responses=described(Truth),
+    responses=_TRUTH,
 )
 async def get_truth(session: SessionDep, here: ContextDep) -> Response:
     """The truth that was given, null if none was."""

@@ -65,7 +65,7 @@ def test_time_differences_alone_map_a_room(client: TestClient) -> None:
 
 @pytest.mark.soak
 def test_runs_that_time_differences_lose_say_so(client: TestClient, record_property: Any) -> None:
-    """Two TRPs give one difference an epoch: some of forty walks are lost, and each of these doubts itself."""
+    """Two TRPs give one difference an epoch: some of forty walks are lost, and these doubt themselves."""
     rmse, lost, trusted = [], 0, []
     for seed in range(_RUNS):
         errors = _errors_m(client, seed)
