@@ -120,6 +120,7 @@ def random_plan(
             "smoothing_m": walk.smoothing_m,
         },
         "radio": {"timing_jitter_s": 1e-10},
+        "echo": {"sweep_every": 1},
     }
     if rng.random() < _WITH_SLABS:
         for slab in ("floor", "ceiling"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +15,7 @@ from estimator.experiments.catalogue import FIGURES
 
 if TYPE_CHECKING:
     from estimator.experiments.room import Room
+    from service.cli.progress import Reporter
 
 __all__ = ["register"]
 
@@ -58,10 +59,11 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
             "reproduce fig13 --methods hybrid,hybrid+aoa --engine gaussian --out figures",
             "reproduce all --out figures",
             "reproduce measured --data measured --json",
+            "reproduce buildings --runs 4 --sweep-every 10 --odometry --out buildings --json",
         )
     )
     def reproduce(
-        figure: Annotated[str, typer.Argument(help=f"{', '.join(FIGURES)}, all, or measured.")],
+        figure: Annotated[str, typer.Argument(help=f"{', '.join(FIGURES)}, all, measured, or buildings.")],
         out: Annotated[
             Path | None, typer.Option(metavar="DIR", help="Folder for pictures, numbers and reports.")
         ] = None,
@@ -69,7 +71,10 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
             Path | None, typer.Option(metavar="FOLDER", help="Of measured: where the measured sets lie.")
         ] = None,
         runs: Annotated[
-            int | None, typer.Option(min=1, help="Monte-Carlo runs; by default as many as the paper's.")
+            int | None,
+            typer.Option(
+                min=1, help="Monte-Carlo runs; by default as many as the paper's. Of buildings: of each kind."
+            ),
         ] = None,
         seed: Seed = 1,
         methods: Annotated[
@@ -86,16 +91,36 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         scheduler: Annotated[
             str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, instead of local processes.")
         ] = None,
+        kinds: Annotated[
+            str, typer.Option(metavar="LIST", help="Of buildings: kinds of random plans, comma-separated.")
+        ] = "",
+        sweep_every: Annotated[
+            int, typer.Option(min=0, help="Of buildings: epochs between sweeps; 0 for one at the start.")
+        ] = 1,
+        odometry: Annotated[
+            bool, typer.Option("--odometry", help="Of buildings: with odometry (5 % and 1 degree a step).")
+        ] = False,
+        aoa: Annotated[
+            bool, typer.Option("--aoa", help="Of buildings: with directions of arrival (4 by 4 antennas).")
+        ] = False,
         as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
         quiet: Quiet = False,
     ) -> None:
         """Recompute figures of the paper: picture, numbers, and a report beside its values and the limit.
 
-        With `measured`, SLAM on measured sets of others beside plain methods.
+        With `measured`, SLAM on measured sets of others beside plain methods; with `buildings`, random
+        buildings traced, mapped and scored: with all that is sensed, by echoes alone, by paths alone.
         """
         if figure == "measured":
             _measured(data, methods, as_json)
             return
+        sensing = {"sweep_every": sweep_every, "odometry": odometry, "aoa": aoa}
+        if figure != "buildings" and (
+            kinds or sensing != {"sweep_every": 1, "odometry": False, "aoa": False}
+        ):
+            raise ConfigurationError(
+                f"--kinds, --sweep-every, --odometry, --aoa: expected with buildings, got {figure}"
+            )
         if out is None:
             raise ConfigurationError("--out: expected a folder for pictures, numbers and reports, got none")
         from estimator.executors import available_cores, open_workers
@@ -103,6 +128,13 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         from estimator.experiments.report import as_text, require_places, write_report
         from service.cli.progress import Reporter
 
+        if figure == "buildings":
+            if methods or engine:
+                raise ConfigurationError("methods, engine: expected none for buildings")
+            _buildings(
+                out, kinds, runs or 1, seed, sensing, jobs or available_cores(), as_json, Reporter(quiet)
+            )
+            return
         names = catalogue.wanted(figure)
         require_places(out, names)
         chosen = [name.strip() for name in methods.split(",") if name.strip()]
@@ -131,6 +163,30 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         if as_json:
             printed = summaries if figure == "all" else summaries[figure]
             sys.stdout.write(json.dumps(printed, indent=2, allow_nan=False) + "\n")
+
+
+def _buildings(
+    out: Path,
+    kinds: str,
+    runs: int,
+    seed: int,
+    sensing: Mapping[str, Any],
+    jobs: int,
+    as_json: bool,
+    reporter: Reporter,
+) -> None:
+    """Trace, map and score random buildings, ``runs`` of each kind."""
+    from estimator.executors import open_workers
+    from estimator.experiments.report import as_text, require_places, write_report
+    from service.cli.buildings import Building, map_buildings, wanted_kinds
+
+    require_places(out, ["buildings"])
+    buildings = [Building(kind, i, seed, **sensing) for kind in wanted_kinds(kinds) for i in range(runs)]
+    with open_workers(jobs) as workers, reporter.stage("buildings") as advance:
+        report = map_buildings(buildings, workers, advance)
+        write_report(report, out)
+    printed = json.dumps(dict(report.summary), indent=2, allow_nan=False) if as_json else as_text(report)
+    sys.stdout.write(printed + "\n")
 
 
 def _measured(folder: Path | None, methods: str, as_json: bool) -> None:

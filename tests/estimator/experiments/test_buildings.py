@@ -1,0 +1,121 @@
+"""Buildings: figures counted by hand, and prepared buildings mapped, the short form of the long test."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from estimator.experiments.building_runs import SENSING, BuildingRun, BuildingScore, Sketch, map_building
+from estimator.experiments.buildings import report_of, summary_of
+from estimator.experiments.report import write_report
+from estimator.measurements import MeasurementSet, load_measurements
+
+HERE = Path(__file__).parent / "buildings"
+KINDS = ("suite", "aisles", "shops")
+
+
+def a_score(error: float, **changes: Any) -> BuildingScore:
+    """A run of four epochs with a constant error."""
+    fields: dict[str, Any] = {
+        "error_m": np.full(4, error),
+        "lost": error > 1.0,
+        "flagged": np.zeros(4, dtype=bool),
+        "protected": np.ones(4, dtype=bool),
+        "nees": 1.0,
+        "anchors_error_m": np.array([0.1, 0.5]),
+        "walls_due": 4,
+        "walls_found": 3,
+        "walls_false": 1,
+        "seconds": np.array([0.001, 0.002, 0.003, 0.1]),
+    }
+    return BuildingScore(**{**fields, **changes})
+
+
+def a_run(kind: str, number: int, error: float, **changes: Any) -> BuildingRun:
+    """A building whose halves have errors of 0.2 and 0.4 m."""
+    sketch = Sketch(np.array([[[0.0, 0.0], [4.0, 0.0]]]), np.eye(2), np.eye(2), (np.eye(2),))
+    scores = dict(zip(SENSING, (a_score(error, **changes), a_score(0.2), a_score(0.4)), strict=True))
+    return BuildingRun(kind, number, scores, sketch)
+
+
+def runs() -> list[BuildingRun]:
+    """A good run, one lost and flagged, one lost in silence, one good and flagged, one refused."""
+    flag = np.array([False, False, True, True])
+    refused = BuildingRun("shops", 1, dict.fromkeys(SENSING), None)
+    return [
+        a_run("suite", 0, 0.1),
+        a_run("suite", 1, 3.0, flagged=flag, protected=np.array([True, False, False, False])),
+        a_run("suite", 2, 2.0, protected=np.zeros(4, dtype=bool)),
+        a_run("shops", 0, 0.3, flagged=flag),
+        refused,
+    ]
+
+
+def test_figures_are_those_counted_by_hand() -> None:
+    """Lost, silent and flagged runs, shares over all anchors, walls and epochs, by kind and in all."""
+    summary = summary_of(runs())
+    assert list(summary) == ["suite", "shops", "all"]
+    every = summary["all"]
+    assert [every[name] for name in ("runs", "refused", "lost", "silent", "flagged_good")] == [5, 1, 2, 1, 1]
+    assert every["mae_median_m"] == pytest.approx((0.3 + 2.0) / 2)
+    assert every["anchors_within_0_3_m"] == 0.5
+    assert every["walls_found"] == 0.75
+    assert every["walls_false_per_run"] == 1.0
+    assert every["protection_held"] == pytest.approx((4 + 1 + 0 + 2) / (4 + 2 + 4 + 2))
+    assert every["seconds_per_epoch_median"] == pytest.approx(0.0025)
+    assert every["seconds_per_epoch_max"] == pytest.approx(0.1)
+    assert every["mae_ratio_median"] == pytest.approx((0.3 / 0.2 + 2.0 / 0.2) / 2)
+    assert every["echo_only"]["mae_median_m"] == pytest.approx(0.2)
+    assert every["passive_only"]["lost"] == 0
+    assert summary["suite"]["silent"] == 1
+    assert summary["shops"]["mae_median_m"] == pytest.approx(0.3)
+
+
+def test_a_report_has_a_picture_and_figures(tmp_path: Path) -> None:
+    """Numbers, text and picture are written; runs that were refused are in the figures and not drawn."""
+    write_report(report_of(runs(), {"seed": 1}), tmp_path)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".svg", ".json", ".txt"}
+    assert "shops (2), echoes alone" in (tmp_path / "buildings.txt").read_text(encoding="utf-8")
+    drawn = (tmp_path / "buildings.svg").read_text(encoding="utf-8")
+    assert drawn.count("<svg") == 1
+
+
+def measured(kind: str, sweep_every: int, odometry: bool) -> tuple[MeasurementSet, xr.Dataset]:
+    """A prepared building with a sweep at every so many epochs, with odometry or without."""
+    whole = load_measurements(HERE / f"{kind}-measured.nc")
+    epochs = tuple(
+        replace(
+            epoch,
+            sweep=epoch.sweep if sweep_every and epoch.index % sweep_every == 0 else (),
+            odometry=epoch.odometry if odometry else None,
+        )
+        for epoch in whole.epochs
+    )
+    with xr.open_dataset(HERE / f"{kind}-truth.nc", engine="h5netcdf") as truth:
+        return replace(whole, epochs=epochs), truth.load()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("sweep_every", "odometry"), [(2, False), (10, True)])
+def test_prepared_buildings_are_mapped(kind: str, sweep_every: int, odometry: bool) -> None:
+    """With sweeps at every second epoch, or at every tenth and odometry, none is lost."""
+    run = map_building(kind, 0, *measured(kind, sweep_every, odometry), seed=1)
+    score = run.scores["hybrid"]
+    assert score is not None
+    assert not score.lost
+    assert score.mae_m < 0.15
+    assert score.walls_false == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_sweep_is_not_lost_in_silence(kind: str) -> None:
+    """With the sweep at the start alone a building may be lost, and then says so."""
+    run = map_building(kind, 0, *measured(kind, 0, False), seed=1)
+    score = run.scores["hybrid"]
+    assert score is not None
+    assert not score.silent
