@@ -15,6 +15,7 @@ from estimator.errors import InputError
 from estimator.evaluation.comparison import evaluate, read_truth
 from estimator.evaluation.metrics import distances
 from estimator.evaluation.wall_lines import line_points, seen_span
+from estimator.experiments.building_limits import position_limit
 from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
 from estimator.slam.methods import METHODS
@@ -113,12 +114,16 @@ class BuildingRun:
         By what was used (:data:`SENSING`); None where the engine refused the measurements.
     sketch : Sketch or None
         Of the run with all that was sensed.
+    limit_m : ndarray, shape (T,)
+        What no filter can beat on average with all that was sensed
+        (:func:`estimator.experiments.building_limits.position_limit`), metres.
     """
 
     kind: str
     number: int
     scores: Mapping[str, BuildingScore | None]
     sketch: Sketch | None
+    limit_m: Array
 
 
 def map_building(
@@ -164,7 +169,7 @@ def map_building(
         scores[name] = _score(result, truth, seconds, often & METHODS[method].paths)
         if name == "hybrid":
             sketch = _sketch(result, truth)
-    return BuildingRun(kind, number, scores, sketch)
+    return BuildingRun(kind, number, scores, sketch, position_limit(measurements, truth))
 
 
 class _Once:

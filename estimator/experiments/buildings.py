@@ -9,8 +9,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from estimator.evaluation.picture_style import AGENT, AGENT_TRUE, STYLE, TRUE, WALL, tidy
+from estimator.evaluation.picture_style import AGENT, AGENT_TRUE, INK, STYLE, TRUE, WALL, tidy
 from estimator.experiments.building_runs import SENSING, BuildingRun, BuildingScore, Sketch
 from estimator.experiments.report import Report, Row
 
@@ -39,6 +40,7 @@ def summary_of(runs: Sequence[BuildingRun]) -> dict[str, Any]:
         - ``lost``: runs whose RMSE with rotation removed is beyond 1 m; ``silent``: those of them that never
           said so; ``flagged_good``: runs not lost that were ever doubtful or lost by their own judgement;
         - ``mae_median_m``, ``mae_p95_m``: over runs, of their mean position errors;
+        - ``limit_median_m``: over runs, of the mean of the position's limit with all that was sensed;
         - ``nees_median``: over runs, of the position's NEES per dimension;
         - ``anchors_within_0_3_m``: share of the anchors heard in 20 epochs or more;
         - ``walls_found``: share of the walls that should have been found; ``walls_false_per_run``;
@@ -46,7 +48,7 @@ def summary_of(runs: Sequence[BuildingRun]) -> dict[str, Any]:
         - ``seconds_per_epoch_median``, ``seconds_per_epoch_max``: processor time of a step;
         - ``mae_ratio_median``, ``mae_ratio_p95``: over runs, of the MAE over that of the better half, errors
           below a millimetre taken as one;
-        - ``echo_only`` and ``passive_only``: the same figures of these runs, ratios excepted.
+        - ``echo_only`` and ``passive_only``: the same figures of these runs, limit and ratios excepted.
 
         A figure of nothing is null.
     """
@@ -64,6 +66,7 @@ def _figures(runs: Sequence[BuildingRun]) -> dict[str, Any]:
     ]
     return {
         **_of_scores(whole),
+        "limit_median_m": _at([run.limit_m.mean() for run in runs], 50),
         "mae_ratio_median": _at(ratios, 50),
         "mae_ratio_p95": _at(ratios, 95),
         **{name: _of_scores(scores) for name, scores in zip(SENSING[1:], halves, strict=True)},
@@ -153,17 +156,21 @@ def _picture(runs: Sequence[BuildingRun]) -> Figure:
     with mpl.rc_context(STYLE):
         columns = min(3, max(len(worst), 1))
         lines = -(-max(len(worst), 1) // columns)
-        size = (4.2 * columns, 3.8 * lines + 0.5)
+        size = (4.2 * columns, 5.2 * lines + 0.5)
         figure = Figure(figsize=size, dpi=130, facecolor="white", layout="constrained")
-        panels = np.atleast_1d(figure.subplots(lines, columns, squeeze=False)).ravel()
-        for axes in panels[len(worst) :]:
+        ratios = [3.4, 1.2] * lines
+        panels = figure.subplots(2 * lines, columns, squeeze=False, height_ratios=ratios)
+        maps, errors = panels[::2].ravel(), panels[1::2].ravel()
+        for axes in [*maps[len(worst) :], *errors[len(worst) :]]:
             axes.set_axis_off()
-        for axes, (run, score, sketch) in zip(panels, worst, strict=False):
+        for axes, below, (run, score, sketch) in zip(maps, errors, worst, strict=False):
             _draw(axes, sketch)
             said = f"flagged in {int(score.flagged.sum())} of {len(score.flagged)}"
             axes.set_title(f"{run.kind} {run.number}: {score.mae_m:.2f} m, {said}", loc="left", fontsize=9.0)
+            _draw_errors(below, score.error_m, run.limit_m)
         if worst:
-            handles, labels = panels[0].get_legend_handles_labels()
+            both = [axes.get_legend_handles_labels() for axes in (maps[0], errors[0])]
+            handles, labels = ([*upper, *lower] for upper, lower in zip(*both, strict=True))
             figure.legend(
                 handles,
                 labels,
@@ -174,6 +181,15 @@ def _picture(runs: Sequence[BuildingRun]) -> Figure:
             )
         figure.draw_without_rendering()  # lays out while the style holds
     return figure
+
+
+def _draw_errors(axes: Axes, error_m: NDArray[np.float64], limit_m: NDArray[np.float64]) -> None:
+    """The error, and the limit that no filter can beat on average, by epoch."""
+    floor = 1e-4  # of the drawing: at the first epoch both are zero
+    axes.semilogy(np.maximum(error_m, floor), color=AGENT, linewidth=1.2, label="error")
+    axes.semilogy(np.maximum(limit_m, floor), color=INK, linewidth=1.0, linestyle="--", label="limit")
+    axes.set(xlabel="epoch", ylabel="m", ylim=(1e-3, 30.0))
+    tidy(axes)
 
 
 def _draw(axes: Axes, sketch: Sketch) -> None:

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.errors import ConfigurationError, InputError
 from estimator.slam.bounds.scenario import Scenario, Sensing
-from estimator.slam.models.motion import process_noise, transition
+from estimator.slam.models.motion import predict_by_odometry, process_noise, transition
 from estimator.slam.models.state_vector import AGENT, POSITION
 from estimator.slam.smoothing.arrowhead import Arrowhead, eliminate
 from estimator.slam.smoothing.linearise import JITTER_M2
@@ -156,10 +156,12 @@ def posterior_bounds(
     Raises
     ------
     ConfigurationError
-        If ``kind`` is unknown.
+        If ``kind`` is unknown, or odometry is used in the batch.
     """
     if kind not in ("recursive", "batch"):
         raise ConfigurationError(f"kind: expected 'recursive' or 'batch', got {kind!r}")
+    if kind == "batch" and sensing.odometry is not None:
+        raise ConfigurationError("kind: expected 'recursive' with odometry, got 'batch'")
     covariances = _recursive(scenario, sensing) if kind == "recursive" else _batch(scenario, sensing)
     layout, states = scenario.layout, scenario.states
     epochs = len(states)
@@ -192,7 +194,14 @@ def _recursive(scenario: Scenario, sensing: Sensing) -> Array:
     drive = process_noise(scenario.step_s, sensing.acceleration_variance)
     result = []
     for t, seen in enumerate(scenario.observations(sensing)):
-        if t:
+        if t and sensing.odometry is not None:
+            # the noise being the same in all directions, the true direction of the body does not matter
+            share, turn_std = sensing.odometry
+            way = scenario.states[t, POSITION] - scenario.states[t - 1, POSITION]
+            spread = np.diag([*[(share * np.linalg.norm(way)) ** 2] * 2, turn_std**2])
+            before = scenario.states[t - 1].copy()
+            predict_by_odometry(before, covariance, scenario.step_s, way, 0.0, spread)
+        elif t:
             covariance[agent, :] = move @ covariance[agent, :]
             covariance[:, agent] = covariance[:, agent] @ move.T
             covariance[agent, agent] += drive
@@ -243,9 +252,10 @@ def _derotate(covariance: Array, state: Array, scenario: Scenario, sensing: Sens
     ``e`` is ``g' P^-1 e / (g' P^-1 g)``.
     """
     layout = scenario.layout
+    walls = np.unique(scenario.lines).tolist() if sensing.lines_shared else range(layout.slots)
     map_xy = [
         *(layout.anchor_xy(k) for k in range(layout.anchors)),
-        *(layout.wall(i) for i in range(layout.slots)),
+        *(layout.wall(i) for i in walls),
     ]
     index = np.concatenate([np.arange(place.start, place.stop) for place in map_xy])
     mode = _quarter_turn(state[index])

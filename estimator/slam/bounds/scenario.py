@@ -21,7 +21,7 @@ from estimator.errors import ConfigurationError, InputError
 from estimator.geometry import vrp_of_line
 from estimator.slam.models.directions import predict_azimuths
 from estimator.slam.models.path_lengths import predict_paths
-from estimator.slam.models.state_vector import POSITION, THETA, Layout
+from estimator.slam.models.state_vector import ECHO_BIAS, POSITION, THETA, Layout
 from estimator.slam.models.sweeps import predict_flashes
 from estimator.specular import SpecularPaths, specular_paths
 
@@ -30,6 +30,7 @@ __all__ = ["Observation", "Scenario", "Sensing"]
 Array = NDArray[np.float64]
 
 _ANY_HEADING_RAD2 = 100.0  # variance of a heading that is not known
+_SAME_LINE_M = 0.02  # VRPs nearer than this are of one line, whose ends are rounded
 _UNKNOWN_M2 = 1e6  # variance of a coordinate that is not known
 
 
@@ -60,6 +61,17 @@ class Sensing:
         paper's four variances follow.
     azimuth_std_rad : float or None
         Standard deviation of the arrival angle of each path; None if angles are not measured.
+    flashes : bool
+        Whether a sweep sees instead the walls that flash: those on which the perpendicular from the agent has
+        its foot, with nothing in the way (:meth:`Scenario.flashing`).
+    echo_bias_std_m : float
+        Of the range of all sweeps, the one at the start included, the error that they share: its standard
+        deviation, metres.
+    odometry : tuple of float, optional
+        Standard deviation of each component of a displacement between epochs, as a share of its length, and
+        of the body's turn, radians; None for the motion model.
+    lines_shared : bool
+        Whether walls in one line are one unknown.
     heading_held : bool
         Whether the agent's axes stay those of the start. If not, each epoch after the first has an
         unknown heading of its own, common to its angles and its sweep.
@@ -81,6 +93,10 @@ class Sensing:
     sensed: Mapping[int, ArrayLike] = field(default_factory=dict)
     sweep_every: int = 0
     sweep_variance: float = 8e-4
+    flashes: bool = False
+    echo_bias_std_m: float = 0.0
+    odometry: tuple[float, float] | None = None
+    lines_shared: bool = False
     azimuth_std_rad: float | None = None
     heading_held: bool = True
     clock_bias: Literal["none", "common", "each"] = "none"
@@ -108,6 +124,12 @@ class Sensing:
         if self.clock_bias not in ("none", "common", "each"):
             raise ConfigurationError(
                 f"Sensing.clock_bias: expected none, common or each, got {self.clock_bias!r}"
+            )
+        if self.odometry is not None and not all(0.0 < std < np.inf for std in self.odometry):
+            raise ConfigurationError(f"Sensing.odometry: expected two positive numbers, got {self.odometry}")
+        if not 0.0 <= self.echo_bias_std_m < np.inf:
+            raise ConfigurationError(
+                f"Sensing.echo_bias_std_m: expected 0 or a positive number, got {self.echo_bias_std_m}"
             )
         if self.sweep_every < 0 or not 0.0 <= self.height2_std_m2 < np.inf:
             raise ConfigurationError(
@@ -146,6 +168,8 @@ class Scenario:
         The agent at every epoch, plan's frame, metres; the first is RP.
     step_s : float
         Time between epochs, seconds.
+    height2_m2 : array_like, shape (K,), optional
+        Squared height differences of anchors and agent, square metres; zero by default.
     """
 
     start_m: Array
@@ -153,6 +177,7 @@ class Scenario:
     anchors_m: Array
     track_m: Array
     step_s: float = 1.0
+    height2_m2: Array | None = None
     _paths: dict[int, SpecularPaths] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -187,6 +212,8 @@ class Scenario:
             states[:, 2:4] = np.gradient(track, self.step_s, axis=0)
         for k, anchor in enumerate(self.anchors_m - track[0]):
             states[:, layout.anchor_xy(k)] = anchor
+            if self.height2_m2 is not None:
+                states[:, layout.height2(k)] = self.height2_m2[k]
         states[:, layout.walls] = self.vrps_m.ravel()
         return states
 
@@ -228,22 +255,48 @@ class Scenario:
         met = np.any(hit, axis=-1)[..., None] & (first[..., None] == np.arange(len(start)))
         return np.asarray(met.sum(axis=1) >= least)
 
+    def flashing(self) -> NDArray[np.bool_]:
+        """Walls that flash at normal incidence, shape (T, L).
+
+        The foot of the perpendicular from the agent lies on the wall, and no wall crosses the way there.
+        """
+        start, along, track = self.start_m, self.end_m - self.start_m, self.track_m
+        share = np.sum((track[:, None] - start) * along, axis=-1) / np.sum(along**2, axis=-1)
+        way = start + share[..., None] * along - track[:, None]  # (T, L, 2), to the foot
+        crossing = _cross(way[:, :, None], along)  # (T, L, walls in the way)
+        crossing = np.where(np.abs(crossing) < 1e-12, np.inf, crossing)
+        gap = (start - track[:, None])[:, None]
+        reach, place = _cross(gap, along) / crossing, _cross(gap, way[:, :, None]) / crossing
+        blocks = (reach > 0.0) & (reach < 1.0 - 1e-9) & (place >= 0.0) & (place <= 1.0)
+        return np.asarray((share >= 0.0) & (share <= 1.0) & ~np.any(blocks, axis=-1))
+
+    @cached_property
+    def lines(self) -> NDArray[np.int64]:
+        """For each wall the first one that lies in the same line, shape (L,)."""
+        first: list[int] = []
+        for wall, vrp in enumerate(self.vrps_m):
+            same = [
+                one for one in dict.fromkeys(first) if np.linalg.norm(self.vrps_m[one] - vrp) < _SAME_LINE_M
+            ]
+            first.append(same[0] if same else wall)
+        return np.array(first)
+
     def observations(self, sensing: Sensing) -> list[Observation]:
         """What every epoch measures."""
         states, layout = self.states, self.layout
         seen = self.visible(sensing.order)
-        lengths = predict_paths(states, layout).jacobian
-        angles = None if sensing.azimuth_std_rad is None else predict_azimuths(states, layout)[1]
-        met = self.walls_met() if sensing.sweep_every else np.zeros(seen.shape[:2], dtype=bool)
+        met = self.flashing() if sensing.flashes else self.walls_met()
         result = []
         for t, state in enumerate(states):
             # of each kind of measurement: derivatives, variances, derivatives by the agent's heading
             count = int(seen[t].sum())
             variance = sensing.range_std_m**2 / sensing.detection_probability
-            parts = [(lengths[t][seen[t]], np.full(count, variance), np.zeros(count))]
-            if angles is not None and sensing.azimuth_std_rad is not None:
+            lengths = predict_paths(state[None], layout).jacobian[0]
+            parts = [(lengths[seen[t]], np.full(count, variance), np.zeros(count))]
+            if sensing.azimuth_std_rad is not None:
+                angles = predict_azimuths(state[None], layout)[1][0]
                 variance = sensing.azimuth_std_rad**2 / sensing.detection_probability
-                parts.append((angles[t][seen[t]], np.full(count, variance), -np.ones(count)))
+                parts.append((angles[seen[t]], np.full(count, variance), -np.ones(count)))
             if sensing.sweep_every and t and t % sensing.sweep_every == 0:
                 images, by_state = predict_flashes(state, layout)
                 for wall in np.flatnonzero(met[t]):
@@ -291,12 +344,23 @@ class Scenario:
                 unknown(layout.bias(k), _UNKNOWN_M2)
         if sensing.clock_bias == "common":
             unknown([layout.bias(k) for k in range(layout.anchors)], _UNKNOWN_M2)
-        for wall in range(0 if sensing.walls_known else layout.slots):
-            given = np.asarray(sensing.sensed.get(wall, _UNKNOWN_M2), dtype=np.float64)
+        if sensing.echo_bias_std_m > 0.0:
+            column = np.zeros(layout.size)
+            column[ECHO_BIAS] = 1.0
+            for wall in sensing.sensed:  # the first sweep saw them too far by it
+                column[layout.wall(wall)] = -2.0 * self.vrps_m[wall] / np.linalg.norm(self.vrps_m[wall])
+            columns.append(column)
+            variances.append(sensing.echo_bias_std_m**2)
+        lines = self.lines if sensing.lines_shared else np.arange(layout.slots)
+        for wall in [] if sensing.walls_known else np.unique(lines).tolist():
+            group = np.flatnonzero(lines == wall).tolist()
+            seen = [sensing.sensed[one] for one in group if one in sensing.sensed]
+            given = np.asarray(seen[0] if seen else _UNKNOWN_M2, dtype=np.float64)
             values, vectors = np.linalg.eigh(given if given.ndim == 2 else given * np.eye(2))
             for value, vector in zip(values, vectors.T, strict=True):
                 column = np.zeros(layout.size)
-                column[layout.wall(wall)] = vector
+                for other in group:
+                    column[layout.wall(other)] = vector
                 columns.append(column)
                 variances.append(float(value))
         return np.stack(columns, axis=1), np.array(variances)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from estimator.experiments.building_limits import building_scenario, position_limit, sensing_of
 from estimator.experiments.building_runs import SENSING, BuildingRun, BuildingScore, Sketch, map_building
 from estimator.experiments.buildings import report_of, summary_of
 from estimator.experiments.report import write_report
@@ -40,13 +41,13 @@ def a_run(kind: str, number: int, error: float, **changes: Any) -> BuildingRun:
     """A building whose halves have errors of 0.2 and 0.4 m."""
     sketch = Sketch(np.array([[[0.0, 0.0], [4.0, 0.0]]]), np.eye(2), np.eye(2), (np.eye(2),))
     scores = dict(zip(SENSING, (a_score(error, **changes), a_score(0.2), a_score(0.4)), strict=True))
-    return BuildingRun(kind, number, scores, sketch)
+    return BuildingRun(kind, number, scores, sketch, np.full(4, 0.05))
 
 
 def runs() -> list[BuildingRun]:
     """A good run, one lost and flagged, one lost in silence, one good and flagged, one refused."""
     flag = np.array([False, False, True, True])
-    refused = BuildingRun("shops", 1, dict.fromkeys(SENSING), None)
+    refused = BuildingRun("shops", 1, dict.fromkeys(SENSING), None, np.full(4, 0.07))
     return [
         a_run("suite", 0, 0.1),
         a_run("suite", 1, 3.0, flagged=flag, protected=np.array([True, False, False, False])),
@@ -70,6 +71,7 @@ def test_figures_are_those_counted_by_hand() -> None:
     assert every["seconds_per_epoch_median"] == pytest.approx(0.0025)
     assert every["seconds_per_epoch_max"] == pytest.approx(0.1)
     assert every["mae_ratio_median"] == pytest.approx((0.3 / 0.2 + 2.0 / 0.2) / 2)
+    assert summary["shops"]["limit_median_m"] == pytest.approx(0.06)
     assert every["echo_only"]["mae_median_m"] == pytest.approx(0.2)
     assert every["passive_only"]["lost"] == 0
     assert summary["suite"]["silent"] == 1
@@ -109,7 +111,30 @@ def test_prepared_buildings_are_mapped(kind: str, sweep_every: int, odometry: bo
     assert score is not None
     assert not score.lost
     assert score.mae_m < 0.15
+    assert 0.0 < run.limit_m[1:].mean() < 0.15
     assert score.walls_false == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_limits_fall_with_what_is_sensed(kind: str) -> None:
+    """Sweeps at every second epoch and odometry tell more than sweeps alone, these more than one sweep."""
+    rich, plain, once = (
+        position_limit(*measured(kind, every, odometry)).mean()
+        for every, odometry in ((2, True), (2, False), (0, False))
+    )
+    assert 0.0 < rich < plain < once
+
+
+def test_sensing_is_what_the_measurements_state() -> None:
+    """Odometry of 5 % and 0.0175 rad, a sweep at every tenth epoch, no angles; heights are the building's."""
+    given, truth = measured("suite", 10, True)
+    scenario = building_scenario(truth)
+    sensing = sensing_of(given, scenario)
+    assert sensing.odometry == pytest.approx((0.05, 0.0175))
+    assert (sensing.sweep_every, sensing.azimuth_std_rad) == (10, None)
+    assert scenario.height2_m2 is not None
+    above = truth["anchor_position_m"].values[:, 2] - 1.5
+    np.testing.assert_allclose(scenario.height2_m2, above**2)
 
 
 @pytest.mark.parametrize("kind", KINDS)
