@@ -31,12 +31,12 @@ _KNOWN_M2 = 1e-12  # variance of an anchor known from the start, left by roundin
 
 
 def is_tracked(state: GaussianState, config: AnchorSearchConfig) -> bool:
-    """Whether a sweep has told of the agent's motion lately."""
+    """Whether sweeps or odometry have told of the agent's motion lately."""
     return state.tracked_epoch >= 0 and state.epoch - state.tracked_epoch <= config.survey_patience
 
 
 def forget_guesses(state: GaussianState, config: GaussianConfig) -> GaussianState:
-    """The state at the first sweep on the way: anchors that were guessed wait for their survey."""
+    """The state where its motion is first told: anchors that were guessed wait for their survey."""
     if state.tracked_epoch >= 0 or state.surveyed.epochs >= config.anchors.survey_least:
         return state
     best = state.hypotheses.best
@@ -48,7 +48,7 @@ def forget_guesses(state: GaussianState, config: GaussianConfig) -> GaussianStat
 
 
 def is_track_known(state: GaussianState, config: AnchorSearchConfig) -> bool:
-    """Whether sweeps on the way tell the track well enough to survey anchors from it."""
+    """Whether sweeps or odometry tell the track well enough to survey anchors from it."""
     if not is_tracked(state, config):
         return False
     best = state.hypotheses.best

@@ -139,6 +139,8 @@ def _check(state: GaussianState, epoch: Epoch) -> None:
 
 def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> GaussianState:
     """The state at the epoch before its measurements; the first epoch is where the state begins."""
+    if state.epoch >= 0 and epoch.odometry is not None and state.shared:
+        state = forget_guesses(state, config).but(tracked_epoch=epoch.index)
     hypotheses = state.hypotheses
     if state.epoch >= 0:
         may_turn = state.shared and (bool(epoch.sweep) or is_tracked(state, config.anchors))

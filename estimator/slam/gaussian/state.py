@@ -96,7 +96,7 @@ class GaussianState(NamedTuple):
     swept_epoch : int
         The last epoch with a sweep, the first of the run where there was none since.
     tracked_epoch : int
-        The last epoch on the way whose motion a sweep told, -1 if none did.
+        The last epoch on the way whose motion sweeps or odometry told, -1 if none was.
     echo_residuals : ndarray, shape (2,)
         Sum of the squared residuals of flashes in range over what is claimed of them, and what it should be:
         of the recent sweeps.
