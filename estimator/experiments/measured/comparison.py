@@ -13,6 +13,7 @@ from estimator.evaluation.metrics import nees
 from estimator.experiments.measured.plain import kalman_track, least_squares_track
 from estimator.experiments.measured.run import MeasuredRun
 from estimator.experiments.measured.sets import measured_runs
+from estimator.geometry import rotation_matrix
 from estimator.slam.run import run_slam
 
 __all__ = ["METHOD", "compare", "measured_table"]
@@ -78,7 +79,9 @@ def _compared(run: MeasuredRun, method: str) -> dict[str, Any]:
     truth = run.truth.at(time + (_clock_offset(run, time, plain) if run.clocks_differ else 0.0))
     result = run_slam(measurements, method)
     known = np.isfinite(truth).all(axis=1)
-    error = result.agent_mean[:, :2] + start - truth
+    turn = rotation_matrix(run.heading_rad)
+    error = result.agent_mean[:, :2] @ turn.T + start - truth
+    covariance = turn @ result.agent_covariance[:, :2, :2] @ turn.T
     distance = np.linalg.norm(error[known], axis=1)
     rmse = float(np.sqrt(np.mean(distance**2)))
     extent = float(np.linalg.norm(np.ptp(truth[known], axis=0)))
@@ -86,7 +89,7 @@ def _compared(run: MeasuredRun, method: str) -> dict[str, Any]:
         "method": method,
         "mae_m": float(distance.mean()),
         "rmse_m": rmse,
-        "nees_per_dim": float(nees(error[known], result.agent_covariance[known, :2, :2]).mean()),
+        "nees_per_dim": float(nees(error[known], covariance[known]).mean()),
         "lost": bool(rmse > max(_LOST_M, _LOST_SHARE * extent)),
         "flagged": bool(result.flagged[-1]),
         "false_features": int(result.wall_valid[-1].sum()),

@@ -26,6 +26,8 @@ class MeasuredRun:
         Whether that offset is unknown: then it is fitted, on the places of least squares.
     plain : MeasurementSet, optional
         What plain methods take instead.
+    heading_rad : float
+        Direction of the estimator's x axis in the frame of the truth.
     """
 
     key: str
@@ -33,3 +35,4 @@ class MeasuredRun:
     truth: Track
     clocks_differ: bool = False
     plain: MeasurementSet | None = None
+    heading_rad: float = 0.0

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from estimator.errors import FileFormatError
 from estimator.experiments.measured.responses import response_runs
 from estimator.experiments.measured.run import MeasuredRun
+from estimator.experiments.measured.wheels import with_wheels
 from estimator.readers.csv_ranges import read_csv
 from estimator.readers.mat_ranges import read_mat, read_mat_track
 from estimator.readers.range_log import RangeLog, measurements_of
@@ -100,8 +101,15 @@ def _labyrinth(folder: Path) -> Iterator[MeasuredRun]:
         if cells[0] == "point2" and len(cells) >= 4:
             rows.append([number(cell, f"{path}, line {line}") for cell in cells[1:4]])
     table = np.array(rows).reshape(-1, 3)
-    yield _run(
-        "labyrinth", read_sensor_lines(folder / "Indoor_UWB_Input.txt"), Track(table[:, 0], table[:, 1:])
+    sensors = folder / "Indoor_UWB_Input.txt"
+    alone = _run("labyrinth", read_sensor_lines(sensors), Track(table[:, 0], table[:, 1:]))
+    yield alone
+    moved = with_wheels(alone.measurements, sensors)
+    if moved is None:
+        return
+    measured, heading = moved
+    yield MeasuredRun(
+        "labyrinth-odometry", measured, alone.truth, plain=alone.measurements, heading_rad=heading
     )
 
 

@@ -32,7 +32,7 @@ def track_at(time_s):
     return np.stack([5.0 + 3.0 * np.cos(0.15 * time_s), 4.0 + 2.0 * np.sin(0.15 * time_s)], axis=1)
 
 
-def write_labyrinth(folder, bias_m=0.0, seed=3, count=600):
+def write_labyrinth(folder, bias_m=0.0, seed=3, count=600, wheels=False):
     """A set as the one of the labyrinth: four anchors asked in turn."""
     rng = np.random.default_rng(seed)
     time = 0.125 * np.arange(1, count + 1)
@@ -41,6 +41,12 @@ def write_labyrinth(folder, bias_m=0.0, seed=3, count=600):
         k = n % 4
         length = np.linalg.norm(true[n] - PLACES[k]) + bias_m + 0.1 * rng.normal()
         lines.append(f"range2 {t} {length} 0.01 {PLACES[k, 0]} {PLACES[k, 1]} {100 + k} 0")
+        if wheels and n + 1 < count:
+            ahead, after = true[n + 1] - true[n], track_at(np.array([t + 0.25]))[0] - true[n + 1]
+            speed = np.linalg.norm(ahead) / 0.125
+            turn = (ahead[0] * after[1] - ahead[1] * after[0]) / (np.linalg.norm(ahead) ** 2 * 0.125)
+            left, right = speed + np.array([-0.5, 0.5]) * 0.2 * turn + 0.01 * rng.normal(size=2)
+            lines.append(f"odom2diff {t} {left} {right} 0 0.1 0.0001 0.0001 0.0001")
     folder.mkdir(parents=True)
     (folder / "Indoor_UWB_Input.txt").write_text("\n".join(lines) + "\n")
     rows = [f"point2 {t} {x} {y} 0 0 0 0" for t, (x, y) in zip(time, true, strict=True)]
@@ -63,6 +69,16 @@ def test_a_biased_set_is_tracked_honestly(tmp_path, bias_m):
     assert (one["ekf_mae_m"] > one["mae_m"]) == (bias_m > 0.0)
     table = measured_table(found)
     assert f"{one['mae_m']:.3f}" in table
+
+
+def test_wheels_help(tmp_path):
+    """With the odometry of its wheels a robot is tracked better, in axes that it did not know."""
+    write_labyrinth(tmp_path / "labyrinth-uwb", 0.2, wheels=True)
+    found = compare(tmp_path)
+    assert list(found) == ["labyrinth", "labyrinth-odometry"]
+    alone, moved = found.values()
+    assert moved["mae_m"] < alone["mae_m"]
+    assert 0.1 < moved["nees_per_dim"] < 3.0
 
 
 def test_plain_methods_are_right_where_nothing_is_biased():
