@@ -31,6 +31,8 @@ _NODES, _MOST_NODES = 5_000, 15_000
 _FINEST_M, _COARSEST_M = 0.1, 0.3
 # What is nearer than this to the walk need not be visited.
 _NEAR_M = 2.5
+# A route may touch the rim of the free space, on which middles of doors lie.
+_TOUCHED_M = 1e-6
 # Off the lattice on which walls are drawn.
 _ORIGIN = (0.37, 0.41)
 
@@ -89,11 +91,16 @@ def plan_walk(
         If nothing is wide enough to walk in.
     """
     free = main_space(start_m, end_m, thickness_m).free if free is None else free
+    longest_m = 1.1 * most_epochs * step_m
+    middle = start_at_m or shapely.get_coordinates(shapely.point_on_surface(free))[:1].ravel()
+    free = _part_within(free, np.array(middle)[None], longest_m)
     nodes, graph = _lattice(free)
     if len(nodes) < 3:
         raise InputError(f"walls: expected space to walk in, got {shapely.area(free):.3g} m2 off the walls")
     at = None if start_at_m is None else int(np.argmin(np.linalg.norm(nodes - start_at_m, axis=1)))
-    legs = [_taut(nodes[leg], free) for leg in _explore(graph, 1.1 * most_epochs * step_m, at)]
+    rim = shapely.boundary(shapely.buffer(free, _TOUCHED_M))
+    shapely.prepare(rim)
+    legs = [_taut(nodes[leg], rim) for leg in _explore(graph, longest_m, at)]
     waypoints = np.round(np.vstack([legs[0][:1], *(leg[1:] for leg in legs)]), 3)
     length = float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
     step = step_m if length > 60 * step_m else round(length / 60, 4)
@@ -116,6 +123,7 @@ def place_anchors(
     most: int = 6,
     wanted: int = 2,
     free: shapely.Geometry | None = None,
+    range_m: float = 50.0,
 ) -> Array:
     """Places from which a track is seen, in the space of the track.
 
@@ -133,6 +141,8 @@ def place_anchors(
         Anchors that each position should see.
     free : shapely.Polygon, optional
         Where they may hang; by default the plan's main space.
+    range_m : float
+        How far from the track's bounding box they may hang, metres: what is heard well indoors.
 
     Returns
     -------
@@ -144,7 +154,7 @@ def place_anchors(
         If there is no room for an anchor.
     """
     free = main_space(start_m, end_m, thickness_m).free if free is None else free
-    nodes, _ = _lattice(free)
+    nodes, _ = _lattice(_part_within(free, track_m, range_m))
     seen_from = track_m[:: max(1, len(track_m) // 60)]
     gap = np.linalg.norm(nodes[:, None] - seen_from, axis=-1).min(axis=1) if len(nodes) else np.zeros(0)
     candidates = nodes[gap > min(1.0, 0.5 * float(gap.max(initial=0.0)))]
@@ -169,6 +179,19 @@ def place_anchors(
         chosen.append(best)
         count += seen[best]
     return np.round(candidates[chosen], 3)
+
+
+def _part_within(free: shapely.Geometry, points: Array, reach_m: float) -> shapely.Geometry:
+    """The connected part of an area within reach of points' bounding box, the largest there.
+
+    An area that lies within it all is returned as it is. Of a large building the rest cannot matter.
+    """
+    low, high = points.min(axis=0) - reach_m, points.max(axis=0) + reach_m
+    left, bottom, right, top = shapely.bounds(free)
+    if free.is_empty or ((low <= (left, bottom)).all() and (high >= (right, top)).all()):
+        return free
+    near = shapely.intersection(free, shapely.box(*low, *high))
+    return max(shapely.get_parts(near), key=shapely.area, default=free)
 
 
 def _lattice(free: shapely.Geometry) -> tuple[Array, csr_array]:
@@ -257,15 +280,15 @@ def _explore(graph: csr_array, most_m: float, at: int | None = None) -> list[lis
     return legs
 
 
-def _taut(points: Array, free: shapely.Geometry) -> Array:
-    """A route with every point left out that a straight line makes needless."""
+def _taut(points: Array, rim: shapely.Geometry) -> Array:
+    """A route with every point left out that a straight line makes needless: one that crosses no rim."""
     kept, at = [0], 0
     while at < len(points) - 1:
         ahead = np.arange(at + 1, len(points))
         straight = shapely.linestrings(
             np.stack([np.broadcast_to(points[at], (len(ahead), 2)), points[ahead]], 1)
         )
-        clear = np.flatnonzero(shapely.covers(free, straight))
+        clear = np.flatnonzero(~shapely.intersects(rim, straight))
         at = int(ahead[clear[-1]]) if len(clear) else at + 1
         kept.append(at)
     return points[kept]
@@ -275,8 +298,6 @@ def _visible(sources: Array, targets: Array, start_m: Array, end_m: Array) -> ND
     """Which targets (m, 2) no wall hides from sources (n, 2), shape (n, m)."""
     ends = np.stack(np.broadcast_arrays(sources[:, None], targets[None]), axis=2)
     rays = shapely.linestrings(ends.reshape(-1, 2, 2))
-    walls = shapely.linestrings(np.stack([start_m, end_m], axis=1))
-    hit, _ = shapely.STRtree(walls).query(rays, predicate="intersects")
-    clear = np.ones(len(rays), dtype=np.bool_)
-    clear[hit] = False
-    return clear.reshape(len(sources), len(targets))
+    walls = shapely.multilinestrings(shapely.linestrings(np.stack([start_m, end_m], axis=1)))
+    shapely.prepare(walls)
+    return np.asarray(~shapely.intersects(walls, rays)).reshape(len(sources), len(targets))

@@ -138,6 +138,19 @@ def test_anchors_hang_in_the_space_of_the_walk() -> None:
         assert holds(room, x, y)
 
 
+def test_a_large_building_is_searched_where_the_walk_can_get() -> None:
+    """In a passage of a kilometre the walk starts where it is told, and anchors hang within their range."""
+    start, end, thickness = walls(box(0.0, 0.0, 1000.0, 3.0))
+    walk = plan_walk(start, end, thickness, most_epochs=100, start_at_m=(800.0, 1.5))
+    places = np.array(walk.waypoints_m)
+    assert np.linalg.norm(places[0] - (800.0, 1.5)) < 1.0
+    track = smoothed_track(walk.waypoints_m, walk.smoothing_m, walk.step_m, walk.epochs)
+    assert np.ptp(track[:, 0]) > 30.0
+    anchors = place_anchors(start, end, thickness, track, range_m=5.0)
+    assert anchors[:, 0].min() >= track[:, 0].min() - 5.0
+    assert anchors[:, 0].max() <= track[:, 0].max() + 5.0
+
+
 def test_a_configuration_is_checked() -> None:
     """A door of no width would bridge nothing, in silence."""
     with pytest.raises(ConfigurationError, match="door_m: expected metres above 0, got 0"):
