@@ -13,6 +13,7 @@ Here the name of what is kept has a fingerprint of all sources that went into it
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import inspect
 import logging
@@ -25,7 +26,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import event
-from numba.core.caching import IndexDataCacheFile
+
+from estimator.kept_code import KeptCode
 
 __all__ = ["cache_folder", "compiled", "compiled_here"]
 
@@ -42,15 +44,11 @@ def compiled(function: F) -> F:
     checks them).
     """
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    try:
-        dispatcher = numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # no folder that may be written: compiled anew in each process
-        dispatcher = numba.njit(**options)(function)
+    dispatcher = numba.njit(**options)(function)
     _FINGERPRINTS[id(dispatcher)] = mark = _fingerprint(function)
-    kept: Any = getattr(dispatcher, "_cache", None)
-    if hasattr(kept, "_cache_file"):
-        name = f"{kept._impl.filename_base}-{mark}"
-        kept._cache_file = IndexDataCacheFile(kept.cache_path, name, mark)
+    if dispatcher is not function:  # NUMBA_DISABLE_JIT gives the function itself
+        with contextlib.suppress(RuntimeError):  # no folder that may be written: compiled in each process
+            dispatcher._cache = KeptCode(function, mark)
     _FUNCTIONS.append(dispatcher)
     return cast(F, dispatcher)
 
@@ -113,7 +111,10 @@ class _Announcer(event.Listener):  # type: ignore[misc]
             _LOG.info("compiling the estimator for this machine, once (about half a minute)")
 
     def on_end(self, event: Any) -> None:
-        """It has been compiled."""
+        """It has been compiled, or could not be."""
+        kept = event.data["dispatcher"]._cache
+        if event.is_failed and isinstance(kept, KeptCode):
+            kept.release()
 
 
 _ANNOUNCER = _Announcer()
