@@ -99,7 +99,7 @@ class Score:
 def slam_of(run: Run) -> SlamResult:
     """Simulate the measurements of a run and go through them."""
     case, measurements = run.case, _measured(run)
-    base = ParticleConfig(particles=run.particles) if case.engine == "particle" else None
+    base = ParticleConfig.of(particles=run.particles) if case.engine == "particle" else None
     config = config_for(measurements, base, case.engine)
     return run_slam(measurements, case.method, case.engine, run.seed, config)
 

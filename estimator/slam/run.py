@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, fields, replace
 from typing import Any
 
 import numpy as np
@@ -62,8 +61,8 @@ def config_for(measurements: MeasurementSet, base: Config | None = None, engine:
             "echo_bias_std_m": measurements.echo_bias_std_m,
         }
         return base.but(**{name: value for name, value in known.items() if value is not None} | {**stated})
-    own = {entry.name for entry in fields(base)}
-    return replace(base, **{name: value for name, value in stated.items() if name in own})
+    own = base.names()
+    return base.but(**{name: value for name, value in stated.items() if name in own})
 
 
 def engine_for(method: str, engine: str, config: Config) -> Engine:
@@ -134,7 +133,7 @@ def run_slam(
         estimates.append(chosen.estimate(state))
         if progress is not None:
             progress(done + 1, len(measurements.epochs))
-    slam = config.flat() if isinstance(config, GaussianConfig) else asdict(config)
+    slam = config.flat()
     settings = {"slam": slam, "measurements": dict(measurements.settings)}
     return collect(measurements, estimates, method, engine, seed, settings)
 

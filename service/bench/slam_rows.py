@@ -145,7 +145,7 @@ def _particle_step(method: str, epochs: int) -> Row:
     A feature is what one anchor may be heard over: the anchor itself, and each wall or virtual anchor.
     """
     measurements = paper_room().measure(SimulationConfig(), 1, know_anchors=True)
-    config = config_for(measurements, ParticleConfig(particles=_PARTICLES))
+    config = config_for(measurements, ParticleConfig.of(particles=_PARTICLES))
     engine = engine_for(method, "particle", config)
     state = engine.start(Prior.of(measurements), epoch_rng(1, -1))
     taken: list[tuple[float, int]] = []

@@ -11,7 +11,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +20,6 @@ import numpy as np
 from estimator.errors import ConfigurationError, FileFormatError, InputError
 from estimator.measurements import Epoch, GaussianVrp, MeasurementSet
 from estimator.slam import Engine, Prior, epoch_rng
-from estimator.slam.gaussian.config import GaussianConfig
-from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.run import config_for, engine_for
 from estimator.threads import one_blas_thread
 from service.messages.documents import dump, estimate_document, read_epoch, read_sweep
@@ -122,8 +120,8 @@ def engine_of(config: Mapping[str, Any]) -> Engine:
     """
     model = config_for(measurement_set(config), engine=config["engine"])
     plain = measurement_set({**config, "measurement_model": {}})
-    defaults = _settings(config_for(plain, engine=config["engine"]))
-    for name, value in _settings(model).items():
+    defaults = config_for(plain, engine=config["engine"]).flat()
+    for name, value in model.flat().items():
         counts = isinstance(defaults[name], int) and not isinstance(defaults[name], bool)
         if counts and name in config["measurement_model"]:
             whole = isinstance(value, int) and not isinstance(value, bool)
@@ -132,11 +130,6 @@ def engine_of(config: Mapping[str, Any]) -> Engine:
                     f"measurement_model.{name}: expected an integer to {_LARGEST_COUNT}, got {value}"
                 )
     return engine_for(config["method"], config["engine"], model)
-
-
-def _settings(model: GaussianConfig | ParticleConfig) -> dict[str, Any]:
-    """The settings of an engine by their names."""
-    return model.flat() if isinstance(model, GaussianConfig) else asdict(model)
 
 
 @one_blas_thread()

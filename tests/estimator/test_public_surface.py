@@ -126,7 +126,7 @@ def test_what_no_measurement_is_gets_refused(make: Callable[[], object], message
 def engines() -> list[Any]:
     return [
         engine_for("hybrid", "gaussian", GaussianConfig()),
-        engine_for("hybrid", "particle", ParticleConfig(particles=500)),
+        engine_for("hybrid", "particle", ParticleConfig.of(particles=500)),
     ]
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from estimator.errors import ConfigurationError
 from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.association.gating import GateModel, Gating
 from estimator.slam.gaussian.births.config import Births, VirtualBirths
@@ -25,6 +24,7 @@ from estimator.slam.models.motion import Motion
 from estimator.slam.models.noise import MeasurementNoise
 from estimator.slam.models.noise_level import NoiseLevel
 from estimator.slam.models.path_loss import PathLoss
+from estimator.slam.models.settings import SettingGroups
 from estimator.slam.models.state_vector import Layout
 from estimator.slam.models.visibility import Visibility
 
@@ -40,11 +40,8 @@ class Kernels(NamedTuple):
 
 
 @dataclass(frozen=True)
-class GaussianConfig:
+class GaussianConfig(SettingGroups):
     """Models and limits of the Gaussian engine, in groups.
-
-    The names of settings are unique over all groups: :meth:`of` and :meth:`but` take them without the
-    groups' names.
 
     Parameters
     ----------
@@ -110,40 +107,6 @@ class GaussianConfig:
     lifecycle: Lifecycle = field(default_factory=Lifecycle)
     phases: Phases = field(default_factory=Phases)
     integrity: IntegrityModel = field(default_factory=IntegrityModel)
-
-    @classmethod
-    def of(cls, **settings: Any) -> GaussianConfig:
-        """The default with some settings changed, by their names alone; see :meth:`but`."""
-        return cls().but(**settings)
-
-    def but(self, **settings: Any) -> GaussianConfig:
-        """The configuration with some settings changed, by their names alone.
-
-        Raises
-        ------
-        ConfigurationError
-            If there is no setting of that name, or its value is out of range.
-        """
-        unknown = sorted(set(settings) - set(self.names()))
-        if unknown:
-            raise ConfigurationError(f"GaussianConfig: expected names of settings, got {', '.join(unknown)}")
-        groups = {}
-        for entry in fields(self):
-            group = getattr(self, entry.name)
-            own = {one.name: settings[one.name] for one in fields(group) if one.name in settings}
-            if own:
-                groups[entry.name] = replace(group, **own)
-        return replace(self, **groups)
-
-    @classmethod
-    def names(cls) -> tuple[str, ...]:
-        """The names of all settings."""
-        return tuple(one.name for group in fields(cls) for one in fields(group.default_factory))  # type: ignore[arg-type]
-
-    def flat(self) -> dict[str, Any]:
-        """All settings by their names."""
-        groups = (getattr(self, entry.name) for entry in fields(self))
-        return {one.name: getattr(group, one.name) for group in groups for one in fields(group)}
 
     @cached_property
     def search(self) -> AnchorSearchConfig:

@@ -11,7 +11,7 @@ from estimator.slam.archive import Columns, pack, unpack
 from estimator.slam.gaussian.integrity import Indicators
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.noise_level import Levels
-from estimator.slam.models.path_buffer import PathBuffer, Track
+from estimator.slam.models.path_buffer import PathBuffer
 from estimator.slam.models.state_vector import Layout
 
 __all__ = ["GaussianState", "Slots", "load_state", "save_state"]
@@ -153,7 +153,6 @@ _SCALARS = (
     "swept_epoch",
     "tracked_epoch",
 )
-_BUFFER = ("epoch", "anchor", "length_m", "std_m", "excess_loss_db", "unassociated")
 
 
 def save_state(state: GaussianState) -> bytes:
@@ -165,10 +164,7 @@ def save_state(state: GaussianState) -> bytes:
     columns |= {f"hypotheses.{name}": getattr(state.hypotheses, name) for name in Hypotheses._fields}
     columns |= {f"slots.{name}": getattr(state.slots, name) for name in Slots._fields}
     columns |= {f"levels.{name}": getattr(state.levels, name) for name in Levels._fields}
-    for kind in ("buffer", "surveyed"):
-        buffer = getattr(state, kind)
-        columns |= {f"{kind}.track.{name}": getattr(buffer.track, name) for name in Track._fields}
-        columns |= {f"{kind}.{name}": getattr(buffer, name) for name in _BUFFER}
+    columns |= state.buffer.columns("buffer") | state.surveyed.columns("surveyed")
     return pack(FORMAT, columns)
 
 
@@ -182,16 +178,12 @@ def load_state(data: bytes) -> GaussianState:
     """
 
     def build(columns: Columns) -> GaussianState:
-        def buffer(kind: str) -> PathBuffer:
-            track = Track(*(columns[f"{kind}.track.{name}"] for name in Track._fields))
-            return PathBuffer(track, *(columns[f"{kind}.{name}"] for name in _BUFFER))
-
         return GaussianState(
             anchor_names=tuple(str(name) for name in columns["anchor_names"]),
             hypotheses=Hypotheses(*(columns[f"hypotheses.{name}"] for name in Hypotheses._fields)),
             slots=Slots(*(columns[f"slots.{name}"] for name in Slots._fields)),
-            buffer=buffer("buffer"),
-            surveyed=buffer("surveyed"),
+            buffer=PathBuffer.of_columns(columns, "buffer"),
+            surveyed=PathBuffer.of_columns(columns, "surveyed"),
             losses_db=columns["losses_db"],
             echo_residuals=columns["echo_residuals"],
             indicators=Indicators(*columns["indicators"].tolist()),

@@ -6,12 +6,10 @@ from dataclasses import replace
 
 from estimator.measurements import AnchorPaths, Epoch
 
-__all__ = ["MOST_PATHS", "guard_clutter"]
-
-MOST_PATHS = 200  # of one anchor in one epoch
+__all__ = ["guard_clutter"]
 
 
-def guard_clutter(epoch: Epoch, most: int = MOST_PATHS) -> Epoch:
+def guard_clutter(epoch: Epoch, most: int) -> Epoch:
     """The epoch, anchors with more than ``most`` paths taken for not heard.
 
     Among so many paths every feature finds one and every wall could be found: they tell nothing, and

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from estimator.slam.models.clutter_guard import MOST_PATHS
 from estimator.slam.models.settings import Settings, not_negative, positive, probability
 
 __all__ = ["MeasurementNoise"]
@@ -43,7 +42,7 @@ class MeasurementNoise(Settings):
     height2_mean_m2: float = not_negative(1.0)
     height2_std_m2: float = not_negative(1.0)
     gain_offset_std_db: float = not_negative(0.0)
-    most_paths: int = positive(MOST_PATHS)
+    most_paths: int = positive(200)
 
     @property
     def clutter_density(self) -> float:

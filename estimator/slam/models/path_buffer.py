@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,9 +102,16 @@ class PathBuffer(NamedTuple):
         """The buffer with every other epoch only, the last one kept."""
         track, every = self.track, slice((self.epochs - 1) % 2, None, 2)
         kept = Track(track.epoch[every], track.position_m[every], track.std_m[every])
-        stay = np.isin(self.epoch, kept.epoch)
+        return self._only(np.isin(self.epoch, kept.epoch))._replace(track=kept)
+
+    def of_anchors(self, which: Mask) -> PathBuffer:
+        """The buffer with the paths of some anchors (K,) alone; the track stays."""
+        return self._only(which[self.anchor])
+
+    def _only(self, stay: Mask) -> PathBuffer:
+        """The track, and some of the paths (N,)."""
         return PathBuffer(
-            kept,
+            self.track,
             self.epoch[stay],
             self.anchor[stay],
             self.length_m[stay],
@@ -111,6 +119,17 @@ class PathBuffer(NamedTuple):
             self.excess_loss_db[stay],
             self.unassociated[stay],
         )
+
+    def columns(self, kind: str) -> dict[str, NDArray[Any]]:
+        """Its arrays by the names that an archive has for them, which begin with ``kind``."""
+        own = {f"{kind}.{name}": column for name, column in zip(self._fields[1:], self[1:], strict=True)}
+        return own | {f"{kind}.track.{name}": getattr(self.track, name) for name in Track._fields}
+
+    @classmethod
+    def of_columns(cls, columns: Mapping[str, NDArray[Any]], kind: str) -> PathBuffer:
+        """The buffer that gave :meth:`columns`."""
+        track = Track(*(columns[f"{kind}.track.{name}"] for name in Track._fields))
+        return cls(track, *(columns[f"{kind}.{name}"] for name in cls._fields[1:]))
 
     def with_associated(self, which: Mask | Index) -> PathBuffer:
         """The buffer with the paths ``which`` marked as associated: they start nothing any more."""

@@ -22,8 +22,6 @@ from estimator.slam.anchors import AnchorSearchConfig, SearchInput, is_due, loca
 from estimator.slam.mixture_reduction import Reduction, reduce_mixture, reduction_model
 from estimator.slam.models.epoch_paths import EpochPaths, stack_paths
 from estimator.slam.models.hypotheses import Hypotheses
-from estimator.slam.models.noise import MeasurementNoise
-from estimator.slam.models.path_buffer import PathBuffer, Track
 from estimator.slam.models.state_vector import AGENT, NOWHERE_M, Layout
 from estimator.slam.models.visibility import Visibility, prior_visibility
 from estimator.slam.particle.cloud import Cloud, gaussian_cloud, moments_of, normals, systematic
@@ -40,15 +38,16 @@ _ANY_CARRIER_HZ = 1e9  # turns gains into losses, which this engine does not use
 def remember_paths(state: ParticleState, epoch: Epoch, config: ParticleConfig) -> ParticleState:
     """The state with this epoch's paths of anchors that are not located, old ones forgotten."""
     mean, covariance = moments_of(state.agent[:2])
-    place = [epoch.index, *mean, 0.5 * np.trace(covariance)]
-    new = [
-        [*place, k, length, max(std, config.range_std_m)]
-        for k in np.flatnonzero(~state.located)
-        for length, std in zip(epoch.paths[k].range_m, epoch.paths[k].range_std_m, strict=True)
-    ]
-    past = np.concatenate([state.past, np.array(new, dtype=np.float64).reshape(-1, 7)])
-    recent = (past[:, 0] > epoch.index - config.start_window) & ~state.located[past[:, 4].astype(np.int64)]
-    return replace(state, past=past[recent])
+    paths = _plain_paths(epoch)
+    paths = paths._replace(
+        number=np.where(state.located, 0, paths.number),
+        std_m=np.maximum(paths.std_m, config.noise.range_std_m),
+    )
+    associated = np.zeros(paths.length_m.shape, dtype=bool)
+    std = float(np.sqrt(0.5 * np.trace(covariance)))
+    waiting = state.buffer.of_anchors(~state.located)
+    buffer = waiting.with_epoch(epoch.index, mean, std, paths, associated, config.anchors.start_window)
+    return replace(state, buffer=buffer)
 
 
 def start_anchors(
@@ -74,22 +73,18 @@ def start_anchors(
     if not walls:
         return state
     search = AnchorSearchConfig(
-        start_matches=config.start_matches, start_window=config.start_window, height_cells=0
+        start_matches=config.anchors.start_matches, start_window=config.anchors.start_window, height_cells=0
     ).widened()
-    buffer = _buffer(state)
-    if not is_due(state.epoch, buffer.epochs, bool(state.located.all()), search):
+    if not is_due(state.epoch, state.buffer.epochs, bool(state.located.all()), search):
         return state
     layout = Layout(len(state.anchor_names), len(walls))
-    paths = stack_paths(epoch, _ANY_CARRIER_HZ)
-    given = _search_input(
-        state, layout, paths._replace(excess_loss_db=np.full_like(paths.length_m, np.nan)), buffer, config
-    )
+    given = _search_input(state, layout, _plain_paths(epoch), config)
     found = locate_anchors(_joint(state, walls, layout, config), given, search)
     likeliest = found.located[found.best]
     new = np.flatnonzero(likeliest & ~state.located).tolist()
     if not new:
         return state
-    drawn = _mixture(found.keep(np.all(found.located == likeliest, axis=1)), config.particles, rng)
+    drawn = _mixture(found.keep(np.all(found.located == likeliest, axis=1)), config.inference.particles, rng)
     anchors, points = list(state.anchors_m), list(state.features.points_m)
     for k in new:
         anchors[k] = _untied(drawn[layout.anchor_xy(k)], rng)
@@ -117,25 +112,28 @@ def ring_anchors(state: ParticleState, config: ParticleConfig, rng: np.random.Ge
     """
     anchors, located = list(state.anchors_m), state.located.copy()
     for k in np.flatnonzero(~state.located):
-        mine = state.past[state.past[:, 4] == k]
-        epochs = np.unique(mine[:, 0])
+        mine = np.flatnonzero(state.buffer.anchor == k)
+        epoch, length = state.buffer.epoch[mine], state.buffer.length_m[mine]
+        epochs = np.unique(epoch)
         if len(epochs) < 3:
             continue
-        first, *later = (mine[mine[:, 0] == epoch] for epoch in epochs[:3])
-        reach = 3.0 * config.velocity_std_m_s
+        first, *later = (np.flatnonzero(epoch == each) for each in epochs[:3])
+        reach = 3.0 * config.motion.velocity_std_m_s
         again = [
-            np.abs(first[:, 5, None] - other[:, 5]).min(axis=1) < (i + 1) * reach
+            np.abs(length[first, None] - length[other]).min(axis=1) < (i + 1) * reach
             for i, other in enumerate(later)
         ]
         lasting = first[again[0] & again[1]]
         if len(lasting) == 0:
             continue
-        shortest = lasting[np.argmin(lasting[:, 5])]
-        std = np.sqrt(shortest[6] ** 2 + shortest[3])
-        radius = shortest[5] + std * normals(config.particles, rng)
-        radius = np.sqrt(np.maximum(radius**2 - config.height2_mean_m2, 0.0))
-        turn = 2.0 * np.pi * rng.random(config.particles if located.any() else 1)
-        ring = shortest[1:3, None] + radius * np.stack([np.cos(turn), np.sin(turn)])
+        shortest = lasting[np.argmin(length[lasting])]
+        row = state.buffer.row_of(epochs[:1])[0]
+        track = state.buffer.track
+        std = np.hypot(state.buffer.std_m[mine[shortest]], track.std_m[row])
+        radius = length[shortest] + std * normals(config.inference.particles, rng)
+        radius = np.sqrt(np.maximum(radius**2 - config.noise.height2_mean_m2, 0.0))
+        turn = 2.0 * np.pi * rng.random(config.inference.particles if located.any() else 1)
+        ring = track.position_m[row][:, None] + radius * np.stack([np.cos(turn), np.sin(turn)])
         anchors[k] = ring.astype(np.float32)
         located[k] = True
     return replace(state, anchors_m=tuple(anchors), located=located)
@@ -149,7 +147,7 @@ def _joint(
     parts = [(AGENT, moments_of(state.agent))]
     parts += [(layout.wall(slot), moments) for slot, moments in enumerate(walls.values())]
     for k, located in enumerate(state.located.tolist()):
-        mean[layout.anchor(k)] = NOWHERE_M, 0.0, config.height2_mean_m2, 0.0
+        mean[layout.anchor(k)] = NOWHERE_M, 0.0, config.noise.height2_mean_m2, 0.0
         if located:
             parts.append((layout.anchor_xy(k), moments_of(state.anchors_m[k])))
     for place, (own, spread) in parts:
@@ -166,25 +164,14 @@ def _joint(
     )
 
 
-def _buffer(state: ParticleState) -> PathBuffer:
-    """What is remembered, as the search takes it."""
-    past = state.past[state.past[:, 0] < state.epoch]
-    epoch, x, y, variance, anchor, length, std = past.T
-    first = np.unique(epoch, return_index=True)[1]
-    place = np.stack([x, y], axis=1)[first]
-    return PathBuffer(
-        Track(epoch[first].astype(np.int64), place, np.sqrt(variance[first])),
-        epoch.astype(np.int64),
-        anchor.astype(np.int64),
-        length.copy(),
-        std.copy(),
-        np.full(len(past), np.nan),
-        np.ones(len(past), dtype=bool),
-    )
+def _plain_paths(epoch: Epoch) -> EpochPaths:
+    """The paths of an epoch without their powers."""
+    paths = stack_paths(epoch, _ANY_CARRIER_HZ)
+    return paths._replace(excess_loss_db=np.full_like(paths.length_m, np.nan))
 
 
 def _search_input(
-    state: ParticleState, layout: Layout, paths: EpochPaths, buffer: PathBuffer, config: ParticleConfig
+    state: ParticleState, layout: Layout, paths: EpochPaths, config: ParticleConfig
 ) -> SearchInput:
     """What this engine tells the search of itself."""
     reduction = Reduction()
@@ -200,15 +187,9 @@ def _search_input(
         confirmed=np.ones(layout.slots, dtype=bool),
         epoch=state.epoch,
         paths=paths,
-        heard=buffer,
+        heard=state.buffer,
         gain_offset_db=np.full(layout.anchors, np.nan),
-        noise=MeasurementNoise(
-            range_std_m=config.range_std_m,
-            detection_probability=config.detection_probability,
-            clutter_mean=config.clutter_mean,
-            region_m=config.region_m,
-            height2_mean_m2=config.height2_mean_m2,
-        ),
+        noise=config.noise,
         fresh_visibility=prior_visibility(layout, Visibility()),
         prune_nats=reduction.prune_nats,
         reduce=reduce,

@@ -31,7 +31,9 @@ def new_odds(length_m: Array, config: ParticleConfig) -> Array:
     config : ParticleConfig
         Models.
     """
-    return np.asarray(config.new_mean * 2.0 * length_m / config.region_m**2 / config.clutter_density)
+    return np.asarray(
+        config.features.new_mean * 2.0 * length_m / config.noise.region_m**2 / config.noise.clutter_density
+    )
 
 
 def vrp_between(anchor: Cloud, virtual: Cloud) -> Cloud:
@@ -100,7 +102,7 @@ def born_features(
     -------
     Features
     """
-    chosen = np.flatnonzero(unexplained > config.detect_threshold)
+    chosen = np.flatnonzero(unexplained > config.features.detect_threshold)
     odds = new_odds(paths[0][chosen], config)
     points = tuple(
         _on_circle(agent, anchor, owner < 0, paths[0][m], paths[1][m], config, rng) for m in chosen.tolist()
@@ -133,15 +135,17 @@ def _on_circle(
     points = np.empty((2, count), np.float32)
     np.cos(bearing, out=points[0])
     np.sin(bearing, out=points[1])
-    _ring(agent, radius, np.float32(config.height2_mean_m2), points)
+    _ring(agent, radius, np.float32(config.noise.height2_mean_m2), points)
     if not wall:
         return points
     _half_way(anchor, points, points)
     square = points[0] * points[0] + points[1] * points[1]
-    if square.min() > config.nearest_wall_m**2:
+    if square.min() > config.features.nearest_wall_m**2:
         return points
     with np.errstate(divide="ignore"):
-        return points[:, systematic(np.log((square > config.nearest_wall_m**2).astype(np.float32)), rng)]
+        return points[
+            :, systematic(np.log((square > config.features.nearest_wall_m**2).astype(np.float32)), rng)
+        ]
 
 
 def merged(features: Features, config: ParticleConfig) -> Features:
@@ -157,8 +161,8 @@ def merged(features: Features, config: ParticleConfig) -> Features:
     moments = [total_variance(cloud) for cloud in features.points_m]
     mean = np.array([place for place, _ in moments])
     variance = np.array([spread for _, spread in moments])
-    sharp = variance < config.similarity_m**2
-    same = np.linalg.norm(mean[:, None] - mean, axis=-1) < config.similarity_m
+    sharp = variance < config.features.similarity_m**2
+    same = np.linalg.norm(mean[:, None] - mean, axis=-1) < config.features.similarity_m
     same &= (features.owner[:, None] == features.owner) & sharp[:, None] & sharp
     if same.sum() == sharp.sum():
         return features
@@ -182,4 +186,4 @@ def pruned(features: Features, epoch: int, config: ParticleConfig) -> Features:
     The prior odds of a new feature are about as small as the threshold, so a feature is
     judged from the epoch after its birth on, when a second path has or has not confirmed it.
     """
-    return features.take((features.existence >= config.prune_probability) | (features.born == epoch))
+    return features.take((features.existence >= config.features.prune_probability) | (features.born == epoch))

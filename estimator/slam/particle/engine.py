@@ -31,6 +31,7 @@ from estimator.errors import InputError
 from estimator.measurements import Epoch
 from estimator.slam.methods import Method, note_unused
 from estimator.slam.models.clutter_guard import guard_clutter
+from estimator.slam.models.path_buffer import PathBuffer
 from estimator.slam.particle.anchors import remember_paths, ring_anchors, start_anchors
 from estimator.slam.particle.births import merged, pruned
 from estimator.slam.particle.cloud import gaussian_cloud, moments_of
@@ -83,8 +84,8 @@ class ParticleEngine:
             raise InputError(
                 f"{self.method.name} SLAM: expected at least one wall sensed at the start, got none"
             )
-        agent = np.diag([config.start_std_m**2] * 2 + [config.velocity_std_m_s**2] * 2)
-        anchors = [np.zeros((2, config.particles), np.float32)] * count
+        agent = np.diag([config.motion.start_std_m**2] * 2 + [config.motion.velocity_std_m_s**2] * 2)
+        anchors = [np.zeros((2, config.inference.particles), np.float32)] * count
         known = self.method.anchors == "known"
         note_unused(self.method, prior, anchors_used=known)
         if known:
@@ -93,11 +94,11 @@ class ParticleEngine:
                     f"{self.method.name} SLAM: expected measurements that know where the anchors are "
                     "(known_anchors_m), got none"
                 )
-            spread = config.anchor_std_m**2 * np.eye(2)
+            spread = config.motion.anchor_std_m**2 * np.eye(2)
             for k, place in enumerate(prior.anchors_m):
-                anchors[k] = gaussian_cloud(place, spread, config.particles, rng)
+                anchors[k] = gaussian_cloud(place, spread, config.inference.particles, rng)
         walls = prior.walls if self.method.walls else ()
-        clouds = [gaussian_cloud(w.mean_m, w.covariance_m2, config.particles, rng) for w in walls]
+        clouds = [gaussian_cloud(w.mean_m, w.covariance_m2, config.inference.particles, rng) for w in walls]
         size = len(walls)
         return ParticleState(
             method=self.method.name,
@@ -106,25 +107,25 @@ class ParticleEngine:
             time_s=0.0,
             log_evidence=0.0,
             next_wall_id=size,
-            agent=gaussian_cloud(np.zeros(4), agent, config.particles, rng),
+            agent=gaussian_cloud(np.zeros(4), agent, config.inference.particles, rng),
             anchors_m=tuple(anchors),
             located=np.full(count, known),
-            sight=np.full(count, config.start_visibility),
+            sight=np.full(count, config.visibility.start_visibility),
             features=Features(
                 tuple(clouds),
-                np.full(size, config.survival_probability),
-                np.full((size, count), config.start_visibility),
+                np.full(size, config.features.survival_probability),
+                np.full((size, count), config.visibility.start_visibility),
                 np.full(size, -1, dtype=np.int64),
                 np.arange(size),
                 np.full(size, -1, dtype=np.int64),
             ),
-            past=np.empty((0, 7)),
+            buffer=PathBuffer.empty(),
         )
 
     def step(self, state: ParticleState, epoch: Epoch, rng: np.random.Generator) -> ParticleState:
         """The state after one more epoch; the given state is not changed.
 
-        Anchors with more than 200 paths count as not heard.
+        Anchors with more than ``most_paths`` paths count as not heard.
 
         Raises
         ------
@@ -144,17 +145,17 @@ class ParticleEngine:
                 )
             step_s = epoch.time_s - state.time_s
             state = predict(state, step_s, epoch.was_asked, self.method, self.config, rng)
-        state, epoch = replace(state, epoch=epoch.index, time_s=epoch.time_s), guard_clutter(epoch)
+        state = replace(state, epoch=epoch.index, time_s=epoch.time_s)
+        epoch = guard_clutter(epoch, self.config.noise.most_paths)
         if not self.method.paths:
             return state
         for k in np.flatnonzero(state.located & epoch.was_asked).tolist():
             state = hear_anchor(state, k, epoch.paths[k], self.method, self.config, rng)
         if not state.located.all():
-            state = remember_paths(state, epoch, self.config)
             if self.method.anchors == "ring":
-                state = ring_anchors(state, self.config, rng)
+                state = ring_anchors(remember_paths(state, epoch, self.config), self.config, rng)
             else:
-                state = start_anchors(state, epoch, self.config, rng)
+                state = remember_paths(start_anchors(state, epoch, self.config, rng), epoch, self.config)
         features = merged(state.features, self.config)
         return replace(state, features=pruned(features, epoch.index, self.config))
 
@@ -207,7 +208,7 @@ class ParticleEngine:
             existence = min(float(state.features.existence[j]), 1.0)
             wall = (int(state.features.wall_id[j]), mean, covariance, existence)
             for i, other in enumerate(found):
-                if np.linalg.norm(wall[1] - other[1]) < self.config.similarity_m:
+                if np.linalg.norm(wall[1] - other[1]) < self.config.features.similarity_m:
                     surer = max(wall[3], other[3])
                     better = wall if np.trace(wall[2]) < np.trace(other[2]) else other
                     found[i] = (other[0], better[1], better[2], surer)

@@ -26,7 +26,7 @@ def found_walls(state: ParticleState, config: ParticleConfig) -> dict[int, tuple
 
     It exists, (35), and is not all round a circle (``found_std_m``).
     """
-    exists = np.flatnonzero(state.features.existence >= config.detect_threshold).tolist()
+    exists = np.flatnonzero(state.features.existence >= config.features.detect_threshold).tolist()
     moments = {j: moments_of(vrp_cloud(state, j)) for j in exists}
-    most = 2.0 * config.found_std_m**2
+    most = 2.0 * config.features.found_std_m**2
     return {j: (mean, spread) for j, (mean, spread) in moments.items() if np.trace(spread) <= most}

@@ -115,24 +115,26 @@ def exchange(
     Messages
     """
     particles = nodes.agent.shape[1]
-    shifts = np.zeros((config.pairings, 2), dtype=np.int64)  # of anchor and features
-    shifts[1:] = rng.integers(particles, size=(config.pairings - 1, 2))
-    height2 = np.float32(config.height2_mean_m2)
+    shifts = np.zeros((config.inference.pairings, 2), dtype=np.int64)  # of anchor and features
+    shifts[1:] = rng.integers(particles, size=(config.inference.pairings - 1, 2))
+    height2 = np.float32(config.noise.height2_mean_m2)
     path_m, scale = length_m.astype(np.float32), (np.sqrt(0.5) / std_m).astype(np.float32)
-    margin = config.gate_sigma * std_m
-    peak = 1.0 / (np.sqrt(2.0 * np.pi) * std_m * config.clutter_density)  # largest ratio of path over clutter
+    margin = config.inference.gate_sigma * std_m
+    peak = 1.0 / (
+        np.sqrt(2.0 * np.pi) * std_m * config.noise.clutter_density
+    )  # largest ratio of path over clutter
 
     # (45), integrated over all nodes: beta(a = m) over beta(a = 0) of each feature
     features, gate = len(nodes.existence), []
     likelihood = np.zeros((features, len(length_m)))
-    lengths = np.empty((config.pairings, particles), np.float32)
+    lengths = np.empty((config.inference.pairings, particles), np.float32)
     for f in range(features):
         least, most = paired_lengths(*_of(nodes, f), shifts, height2, lengths)
         gate.append(np.flatnonzero((length_m + margin > least) & (length_m - margin < most)))
         for m in gate[f].tolist():
             total = likelihood_sum(lengths.ravel(), path_m[m], scale[m])
             likelihood[f, m] = peak[m] * total / lengths.size
-    detect = nodes.visibility * config.detection_probability
+    detect = nodes.visibility * config.noise.detection_probability
     silent = 1.0 - nodes.existence * detect
     ratio = (nodes.existence * detect / silent)[:, None] * likelihood
     odds = ratio / (1.0 + new_ratio)
@@ -143,7 +145,7 @@ def exchange(
     told = np.sum(share * likelihood, axis=1)  # visible and heard
     mean = 1.0 - detect + told
     existence = nodes.existence * mean / (nodes.existence * mean + 1.0 - nodes.existence)
-    missed = nodes.visibility * (1.0 - config.detection_probability)
+    missed = nodes.visibility * (1.0 - config.noise.detection_probability)
     visibility = np.minimum((missed + told) / mean, 1.0)
 
     none = np.empty(0, np.float32)

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.slam.archive import Columns, pack, unpack
+from estimator.slam.models.path_buffer import PathBuffer
 from estimator.slam.particle.cloud import Cloud
 
 __all__ = ["Features", "ParticleState", "load_particle_state", "save_particle_state"]
 
-FORMAT = "hapslam-particle-state/1"
+FORMAT = "hapslam-particle-state/2"
 Array = NDArray[np.float64]
 
 
@@ -91,9 +92,8 @@ class ParticleState:
         Probability that the anchor is in sight at present.
     features : Features
         Walls or virtual anchors.
-    past : ndarray, shape (n, 7)
-        Recent paths of anchors that are not located: epoch, agent x, y, its variance per
-        axis, anchor, length, standard deviation.
+    buffer : PathBuffer
+        Recent paths of anchors that are not located, and where the agent was.
     """
 
     method: str
@@ -107,7 +107,7 @@ class ParticleState:
     located: NDArray[np.bool_]
     sight: Array
     features: Features
-    past: Array
+    buffer: PathBuffer
 
     @property
     def particles(self) -> int:
@@ -116,7 +116,7 @@ class ParticleState:
 
 
 _SCALARS = ("method", "epoch", "time_s", "log_evidence", "next_wall_id")
-_ARRAYS = ("agent", "located", "sight", "past")
+_ARRAYS = ("agent", "located", "sight")
 
 
 def save_particle_state(state: ParticleState) -> bytes:
@@ -126,7 +126,7 @@ def save_particle_state(state: ParticleState) -> bytes:
     columns |= {f"features.{name}": getattr(features, name) for name in COLUMNS}
     columns["anchors_m"] = np.stack(state.anchors_m)
     columns["features.points_m"] = np.array(features.points_m).reshape(len(features), 2, state.particles)
-    return pack(FORMAT, columns)
+    return pack(FORMAT, columns | state.buffer.columns("buffer"))
 
 
 def load_particle_state(data: bytes) -> ParticleState:
@@ -145,6 +145,7 @@ def load_particle_state(data: bytes) -> ParticleState:
             features=Features(
                 tuple(columns["features.points_m"]), **{name: columns[f"features.{name}"] for name in COLUMNS}
             ),
+            buffer=PathBuffer.of_columns(columns, "buffer"),
             **{name: columns[name].item() for name in _SCALARS},
             **{name: columns[name] for name in _ARRAYS},
         )

@@ -44,21 +44,21 @@ def predict(
     rng : Generator
         Source of the driving noise.
     """
-    noise = process_noise(step_s, config.acceleration_variance)
+    noise = process_noise(step_s, config.motion.acceleration_variance)
     agent = moved(state.agent, transition(step_s), noise, rng)
     # one table of driving noise, of which every coordinate of every feature reads from a place of its own
-    driving = np.float32(config.feature_std_m) * normals(state.particles, rng)
+    driving = np.float32(config.motion.feature_std_m) * normals(state.particles, rng)
 
     def driven(clouds: tuple[Cloud, ...]) -> tuple[Cloud, ...]:
         places = rng.integers(state.particles, size=(len(clouds), 2)).tolist()
         return tuple(_driven(cloud, driving, place) for cloud, place in zip(clouds, places, strict=True))
 
     before = state.features
-    stay, appear = 1.0 - config.vanish_probability, config.appear_probability
+    stay, appear = 1.0 - config.visibility.vanish_probability, config.visibility.appear_probability
     features = replace(
         before,
         points_m=driven(before.points_m),
-        existence=config.survival_probability * before.existence,
+        existence=config.features.survival_probability * before.existence,
         visibility=np.where(
             asked, stay * before.visibility + appear * (1.0 - before.visibility), before.visibility
         ),
@@ -93,7 +93,7 @@ def hear_anchor(
     rng : Generator
         Source of randomness.
     """
-    length, std = paths.range_m, np.maximum(paths.range_std_m, config.range_std_m)
+    length, std = paths.range_m, np.maximum(paths.range_std_m, config.noise.range_std_m)
     features = state.features
     mine = np.flatnonzero((features.owner < 0) | (features.owner == k))
     nodes = Nodes(
@@ -116,7 +116,7 @@ def hear_anchor(
     existence, seen, sight = features.existence.copy(), features.visibility.copy(), state.sight.copy()
     existence[mine], seen[mine, k], sight[k] = said.existence[1:], said.visibility[1:], said.visibility[0]
     features = replace(features, points_m=tuple(points), existence=existence, visibility=seen)
-    visibility = np.full(len(state.anchor_names), config.start_visibility)
+    visibility = np.full(len(state.anchor_names), config.visibility.start_visibility)
     visibility[k] = 1.0
     new = born_features(
         agent[:2],
@@ -147,7 +147,7 @@ def _refined(
     if log_weight.max() == log_weight.min():
         return cloud
     after = resample(cloud, log_weight, rng)
-    worse = total_variance(after)[1] > config.worse_ratio * total_variance(cloud)[1]
+    worse = total_variance(after)[1] > config.inference.worse_ratio * total_variance(cloud)[1]
     return cloud if worse else after
 
 

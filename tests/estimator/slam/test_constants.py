@@ -22,8 +22,7 @@ ALLOWED = {
     "association/belief_propagation.py": {"ITERATIONS", "_SETTLED"},
     # what kinds of settings take
     "models/settings.py": {"_RULES"},
-    # defaults of settings, and what is told of an estimate
-    "models/clutter_guard.py": {"MOST_PATHS"},
+    # what is told of an estimate
     "protocol.py": {"MOST", "LEAST_WEIGHT"},
 }
 ROOMS = ("models", "association", "gaussian", "mixture_reduction.py", "protocol.py")

@@ -10,13 +10,15 @@ from estimator.errors import ConfigurationError
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.phase import phase_of
 from estimator.slam.models.state_vector import Layout
+from estimator.slam.particle.config import ParticleConfig
 
 
-def test_flat_names_are_unique():
+@pytest.mark.parametrize("config", [GaussianConfig(), ParticleConfig()])
+def test_flat_names_are_unique(config):
     """Two settings of one name could not both be set."""
-    names = GaussianConfig.names()
+    names = [one.name for entry in fields(config) for one in fields(getattr(config, entry.name))]
     assert len(names) == len(set(names))
-    assert set(GaussianConfig().flat()) == set(names)
+    assert set(config.flat()) == set(config.names()) == set(names)
 
 
 def test_a_change_lands_in_its_group_alone():
@@ -59,10 +61,11 @@ def test_compiled_functions_get_what_is_set():
                 break
 
 
-def test_every_group_says_what_its_fields_are():
+@pytest.mark.parametrize("config", [GaussianConfig(), ParticleConfig()])
+def test_every_group_says_what_its_fields_are(config):
     """A setting without unit and reason is a constant with another name."""
-    for entry in fields(GaussianConfig):
-        group = type(getattr(GaussianConfig(), entry.name))
+    for entry in fields(config):
+        group = type(getattr(config, entry.name))
         for one in fields(group):
             assert one.name in (group.__doc__ or ""), f"{group.__name__}.{one.name}"
 

@@ -16,13 +16,13 @@ from estimator.slam.particle.state import Features
 
 pytestmark = pytest.mark.interpreted
 
-CONFIG = ParticleConfig(particles=8, range_std_m=0.1, pairings=1, new_mean=0.01)
+CONFIG = ParticleConfig.of(particles=8, range_std_m=0.1, pairings=1, new_mean=0.01)
 AGENT, ANCHOR, WALL = np.array([5.0, 2.0]), np.array([20.0, -4.0]), np.array([0.0, 30.0])
 
 
 def still(*points):
     """Clouds (n, 2, N) without spread."""
-    return np.repeat(np.array(points, dtype=np.float32)[..., None], CONFIG.particles, axis=-1)
+    return np.repeat(np.array(points, dtype=np.float32)[..., None], CONFIG.inference.particles, axis=-1)
 
 
 def enumerate_posterior(existence, visibility, mean_m, length, std, odds, config):
@@ -41,8 +41,10 @@ def enumerate_posterior(existence, visibility, mean_m, length, std, odds, config
                 for f in range(features):
                     weight *= existence[f] if r[f] else 1.0 - existence[f]
                     weight *= visibility[f] if e[f] else 1.0 - visibility[f]
-                    detect = config.detection_probability if r[f] and e[f] else 0.0
-                    weight *= 1.0 - detect if a[f] < 0 else detect * density[f, a[f]] / config.clutter_density
+                    detect = config.noise.detection_probability if r[f] and e[f] else 0.0
+                    weight *= (
+                        1.0 - detect if a[f] < 0 else detect * density[f, a[f]] / config.noise.clutter_density
+                    )
                 for j in range(paths):
                     weight *= 1.0 if j in used else 1.0 + odds[j]
                 total += weight
@@ -79,7 +81,7 @@ def test_association_is_exact_where_the_graph_is_a_tree(length):
 
 def test_weights_of_agent_and_wall_are_the_likelihood_of_their_place():
     """With all else known, particles weigh what the Gaussian of their own range weighs."""
-    offsets = np.linspace(-0.2, 0.2, CONFIG.particles, dtype=np.float32)
+    offsets = np.linspace(-0.2, 0.2, CONFIG.inference.particles, dtype=np.float32)
     wall = tuple(still(WALL))
     wall[0][1] += offsets
     length = np.array([np.linalg.norm(mirror(ANCHOR, WALL) - AGENT)])
@@ -87,7 +89,10 @@ def test_weights_of_agent_and_wall_are_the_likelihood_of_their_place():
     said = exchange(nodes, length, np.array([0.1]), np.zeros(1), CONFIG, np.random.default_rng(0))
     ranges = np.linalg.norm(mirror(ANCHOR, wall[0].T.astype(float)) - AGENT, axis=1)
     ratio = (
-        np.exp(-0.5 * ((length - ranges) / 0.1) ** 2) / np.sqrt(2.0 * np.pi) / 0.1 / CONFIG.clutter_density
+        np.exp(-0.5 * ((length - ranges) / 0.1) ** 2)
+        / np.sqrt(2.0 * np.pi)
+        / 0.1
+        / CONFIG.noise.clutter_density
     )
     assert said.points[0] == pytest.approx(np.log(0.05 + 0.95 * ratio), abs=1e-3)
     assert said.agent == pytest.approx(said.points[0], abs=1e-5)  # paired one to one
@@ -106,10 +111,10 @@ def test_more_pairings_estimate_the_same_message_better():
     )
     ranges = np.linalg.norm(mirror(ANCHOR, wall[0].T.astype(float)) - AGENT, axis=1)
     density = np.exp(-0.5 * ((length - ranges) / 0.1) ** 2) / np.sqrt(2.0 * np.pi) / 0.1
-    exact = 0.05 + 0.95 * density.mean() / CONFIG.clutter_density
+    exact = 0.05 + 0.95 * density.mean() / CONFIG.noise.clutter_density
     spread = {}
     for pairings in (1, 16):
-        config = ParticleConfig(particles=count, range_std_m=0.1, pairings=pairings)
+        config = ParticleConfig.of(particles=count, range_std_m=0.1, pairings=pairings)
         said = exchange(nodes, length, np.array([0.1]), np.zeros(1), config, rng)
         values = np.exp(said.agent.astype(float))
         assert values.mean() == pytest.approx(exact, rel=0.02)
@@ -131,7 +136,7 @@ def test_images_and_walls_are_each_others_inverse():
 @pytest.mark.parametrize("owner", [-1, 0])
 def test_new_features_explain_their_path_from_every_bearing(owner):
     """All particles lie where the path length says, spread evenly round the agent."""
-    config = ParticleConfig(particles=4000, range_std_m=0.1)
+    config = ParticleConfig.of(particles=4000, range_std_m=0.1)
     agent, anchor = (np.repeat(p[:, None], 4000, 1).astype(np.float32) for p in (AGENT, ANCHOR))
     length, std = np.array([40.0, 60.0]), np.array([0.1, 0.2])
     new = born_features(
@@ -147,7 +152,7 @@ def test_new_features_explain_their_path_from_every_bearing(owner):
     )
     assert len(new) == 1  # the explained path starts nothing
     assert (new.wall_id[0], new.born[0], new.owner[0]) == (7, 3, owner)
-    odds = config.new_mean * 2.0 * 60.0 / 180.0**2 * 180.0
+    odds = config.features.new_mean * 2.0 * 60.0 / 180.0**2 * 180.0
     assert new.existence[0] == pytest.approx(0.9 * odds / (1.0 + odds))
     virtual = new.points_m[0]
     if owner < 0:
@@ -183,7 +188,7 @@ def test_two_accounts_of_one_wall_become_one():
         [0.9, 0.5, 0.8, 0.1],
         [0] * 4,
     )
-    one = merged(features, ParticleConfig(particles=500))
+    one = merged(features, ParticleConfig.of(particles=500))
     assert one.wall_id.tolist() == [0, 2, 3]
     assert one.existence[0] == pytest.approx(0.95)
     assert np.array_equal(one.points_m[0], features.points_m[1])
@@ -192,4 +197,4 @@ def test_two_accounts_of_one_wall_become_one():
 def test_features_that_hardly_exist_go_after_a_second_look():
     """Below the threshold a feature is dropped, unless it was born in this epoch."""
     features = features_at([(10.0, 0.0), (0.0, 50.0), (30.0, 0.0)], [0.1] * 3, [5e-5, 5e-5, 0.2], [6, 5, 2])
-    assert pruned(features, 6, ParticleConfig(particles=500)).wall_id.tolist() == [0, 2]
+    assert pruned(features, 6, ParticleConfig.of(particles=500)).wall_id.tolist() == [0, 2]
