@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from fastapi import Request
 from fastapi.dependencies.models import Dependant
+from fastapi.requests import HTTPConnection
 from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
@@ -12,7 +12,7 @@ from service.errors import ValidationError
 __all__ = ["known_parameters"]
 
 
-async def known_parameters(request: Request) -> None:
+async def known_parameters(request: HTTPConnection) -> None:
     """Raise ValidationError where a request has a query parameter that its route does not have."""
     route = request.scope.get("route")
     if not request.query_params or not isinstance(route, APIRoute):
