@@ -24,6 +24,7 @@ from .measurements import GaussianVrp as GaussianVrp
 from .measurements import MeasurementSet as MeasurementSet
 from .measurements import load_measurements as load_measurements
 from .measurements import save_measurements as save_measurements
+from .odometry import Odometry as Odometry
 from .result import SlamResult as SlamResult
 from .result import load_result as load_result
 from .result import save_result as save_result
