@@ -18,12 +18,12 @@ from .evaluation.metrics import nees as nees
 from .evaluation.metrics import nees_band as nees_band
 from .evaluation.metrics import ospa as ospa
 from .evaluation.metrics import root_mean_square_error as root_mean_square_error
+from .measurement_files import load_measurements as load_measurements
+from .measurement_files import save_measurements as save_measurements
 from .measurements import AnchorPaths as AnchorPaths
 from .measurements import Epoch as Epoch
 from .measurements import GaussianVrp as GaussianVrp
 from .measurements import MeasurementSet as MeasurementSet
-from .measurements import load_measurements as load_measurements
-from .measurements import save_measurements as save_measurements
 from .odometry import Odometry as Odometry
 from .result import SlamResult as SlamResult
 from .result import load_result as load_result

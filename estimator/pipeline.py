@@ -23,7 +23,7 @@ import numpy as np
 from estimator.dataset import open_dataset, require_absent, write_text
 from estimator.errors import FileFormatError, InputError
 from estimator.json_objects import json_object
-from estimator.measurements import load_measurements, save_measurements
+from estimator.measurement_files import load_measurements, save_measurements
 from estimator.result import SlamResult, load_result, save_result
 
 if TYPE_CHECKING:

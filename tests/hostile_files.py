@@ -17,7 +17,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from estimator.measurements import MeasurementSet, save_measurements
+from estimator.measurement_files import save_measurements
+from estimator.measurements import MeasurementSet
 
 __all__ = ["BOMBS", "CANARY", "REACHING", "Maker", "measurement_file", "with_variable"]
 

@@ -83,7 +83,7 @@ def register(app: typer.Typer) -> None:
         import numpy as np
 
         from estimator.dataset import require_absent
-        from estimator.measurements import save_measurements
+        from estimator.measurement_files import save_measurements
         from estimator.readers.describe import described
         from estimator.readers.range_log import measurements_of
         from estimator.slam.run import config_for

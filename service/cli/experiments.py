@@ -47,7 +47,7 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         """Simulate measurements from geometry alone: noisy, thinned and cluttered paths, sensed walls."""
         from estimator.dataset import require_absent
         from estimator.experiments.cases import simulation_with
-        from estimator.measurements import save_measurements
+        from estimator.measurement_files import save_measurements
 
         require_absent(out)
         config = simulation_with(options or ())

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from estimator.errors import InputError
-from estimator.measurements import load_measurements
+from estimator.measurement_files import load_measurements
 from service.client.calls import Client
 from service.messages.requests import epoch_entry, session_entry, sweep_entry, truth_entry
 

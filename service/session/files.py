@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from estimator.dataset import KINDS, MANIFEST, open_dataset
 from estimator.errors import FileFormatError, InputError
 from estimator.hdf5_guard import Hdf5Limits, check_hdf5
-from estimator.measurements import GaussianVrp, MeasurementSet, load_measurements
+from estimator.measurement_files import load_measurements
+from estimator.measurements import GaussianVrp, MeasurementSet
 from estimator.waveform import OfdmGrid
 from service.messages.documents import dump
 from service.messages.requests import session_entry, truth_entry

@@ -12,7 +12,8 @@ import numpy as np
 from sqlalchemy import Connection, Row
 
 from estimator.evaluation.wall_lines import line_points, line_std, seen_span
-from estimator.measurements import AnchorPaths, Epoch, save_measurements
+from estimator.measurement_files import save_measurements
+from estimator.measurements import AnchorPaths, Epoch
 from estimator.result import SlamResult, save_result
 from estimator.slam.run import collect
 from service.errors import ConflictError

@@ -18,7 +18,8 @@ import numpy as np
 
 from estimator.arrays import BeamSet
 from estimator.errors import HapslamError
-from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet, save_measurements
+from estimator.measurement_files import save_measurements
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.slam.methods import PAIRS
 from service.messages.documents import dump, epoch_text, sweep_text
 from service.messages.session_requests import SessionRequest

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator.measurements import MeasurementSet, save_measurements
+from estimator.measurement_files import save_measurements
+from estimator.measurements import MeasurementSet
 from estimator.simulate import SimulationConfig, measure_scene
 from service.client import Client
 from service.messages.requests import epoch_entry, session_entry, sweep_entry

@@ -20,7 +20,8 @@ from estimator.dataset import Dataset, DatasetWriter, open_dataset
 from estimator.errors import ConfigurationError, FileFormatError
 from estimator.extract import ExtractConfig, extract, extract_epochs, sense_sweeps
 from estimator.geometry import vrp_of_line
-from estimator.measurements import Epoch, MeasurementSet, load_measurements, save_measurements
+from estimator.measurement_files import load_measurements, save_measurements
+from estimator.measurements import Epoch, MeasurementSet
 from estimator.odometry import Odometry, odometry_variables
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
 from raytrace.plan.files import load_floorplan, updated

@@ -12,7 +12,8 @@ import pytest
 
 from estimator.errors import FileFormatError, FileTooLargeError
 from estimator.hdf5_guard import Hdf5Limits, check_hdf5
-from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet, load_measurements
+from estimator.measurement_files import load_measurements
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from tests.hostile_files import CANARY, REACHING, measurement_file, with_attribute, with_variable
 
 

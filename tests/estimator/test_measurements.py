@@ -11,14 +11,8 @@ import pytest
 import xarray as xr
 
 from estimator.errors import FileFormatError, InputError, OutputExistsError
-from estimator.measurements import (
-    AnchorPaths,
-    Epoch,
-    GaussianVrp,
-    MeasurementSet,
-    load_measurements,
-    save_measurements,
-)
+from estimator.measurement_files import load_measurements, save_measurements
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 
 

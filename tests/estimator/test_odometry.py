@@ -11,7 +11,8 @@ import pytest
 import xarray as xr
 
 from estimator.errors import FileFormatError, InputError
-from estimator.measurements import Odometry, load_measurements, save_measurements
+from estimator.measurement_files import load_measurements, save_measurements
+from estimator.measurements import Odometry
 from tests.estimator.test_measurements import measured
 
 GOOD: dict[str, Any] = {"displacement_m": [0.5, 0.01], "turn_rad": 0.1, "covariance": 1e-3 * np.eye(3)}

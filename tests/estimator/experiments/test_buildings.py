@@ -14,7 +14,8 @@ from estimator.experiments.building_limits import building_scenario, position_li
 from estimator.experiments.building_runs import SENSING, BuildingRun, BuildingScore, Sketch, map_building
 from estimator.experiments.buildings import report_of, summary_of
 from estimator.experiments.report import write_report
-from estimator.measurements import MeasurementSet, load_measurements
+from estimator.measurement_files import load_measurements
+from estimator.measurements import MeasurementSet
 
 HERE = Path(__file__).parent / "buildings"
 KINDS = ("suite", "aisles", "shops")

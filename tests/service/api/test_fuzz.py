@@ -17,7 +17,8 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
-from estimator.measurements import MeasurementSet, save_measurements
+from estimator.measurement_files import save_measurements
+from estimator.measurements import MeasurementSet
 from service.api.app import create_app
 from service.api.telemetry import configure_logs
 from service.client import Client, UnexpectedAnswerError

@@ -16,7 +16,8 @@ import sqlalchemy as sa
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
-from estimator.measurements import MeasurementSet, save_measurements
+from estimator.measurement_files import save_measurements
+from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult, load_result
 from service.client import Client
 from service.errors import TooManyError

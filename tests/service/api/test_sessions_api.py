@@ -13,7 +13,8 @@ import pytest
 import xarray as xr
 from fastapi.testclient import TestClient
 
-from estimator.measurements import MeasurementSet, load_measurements, save_measurements
+from estimator.measurement_files import load_measurements, save_measurements
+from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult, load_result
 from estimator.slam import run_slam
 

@@ -16,7 +16,8 @@ from fastapi.testclient import TestClient
 
 from estimator.arrays import AntennaArray, UniformLinearArray, UniformPlanarArray
 from estimator.channel.nomp import estimate_delays
-from estimator.measurements import AnchorPaths, MeasurementSet, load_measurements, save_measurements
+from estimator.measurement_files import load_measurements, save_measurements
+from estimator.measurements import AnchorPaths, MeasurementSet
 from estimator.result import SlamResult
 from estimator.waveform import OfdmGrid
 

@@ -15,7 +15,7 @@ import pytest
 
 from estimator.dataset import open_dataset
 from estimator.errors import FileFormatError, OutputExistsError
-from estimator.measurements import load_measurements
+from estimator.measurement_files import load_measurements
 from estimator.result import load_result
 from service.cli.demo import claim_folder, new_folder, run_demo
 from service.cli.progress import Reporter

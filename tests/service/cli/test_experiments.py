@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from estimator.experiments.catalogue import FIGURES
-from estimator.measurements import load_measurements
+from estimator.measurement_files import load_measurements
 
 Runner = Callable[..., SimpleNamespace]
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from estimator.measurements import load_measurements
+from estimator.measurement_files import load_measurements
 
 Runner = Callable[..., SimpleNamespace]
 PLACES = {"north": (2.0, 9.0), "east": (9.0, 3.0), "south": (4.0, -5.0), "west": (-6.0, 2.0)}

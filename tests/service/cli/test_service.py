@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 from estimator.errors import ConfigurationError
-from estimator.measurements import MeasurementSet, save_measurements
+from estimator.measurement_files import save_measurements
+from estimator.measurements import MeasurementSet
 from service.bench.load import LoadConfig, measure_load
 from service.bench.memory import measure_memory
 from service.client import Client

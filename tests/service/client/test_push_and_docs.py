@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from estimator.errors import InputError
-from estimator.measurements import MeasurementSet, save_measurements
+from estimator.measurement_files import save_measurements
+from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult, load_result
 from service.client import Client, ServiceUnavailableError, UnexpectedAnswerError
 from service.client.push import push_file

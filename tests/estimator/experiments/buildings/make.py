@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from estimator.extract import extract
-from estimator.measurements import save_measurements
+from estimator.measurement_files import save_measurements
 from raytrace.dataset.generate import generate
 from raytrace.plan.files import updated
 from service.cli.buildings import Building, building_plan
