@@ -146,7 +146,7 @@ def test_export(main: Runner, traced: Path, tmp_path: Path) -> None:
     assert main("export", traced, "--to", "deepmimo", "--out", tmp_path / "scenario").status == 0
     assert (tmp_path / "scenario" / "params.json").is_file()
     for arguments, words in (
-        (("--to", "csv", "--out", tmp_path / "csv"), "--to: expected one of mat, deepmimo, got 'csv'"),
+        (("--to", "csv", "--out", tmp_path / "csv"), "--to: expected one of mat, deepmimo, tum, got 'csv'"),
         (("--to", "mat", "--out", tmp_path / "mat"), "expected a name that is free"),
     ):
         run = main("export", traced, *arguments)
