@@ -114,6 +114,7 @@ def extract(
             "extract": asdict(settings),
             "name": dataset.manifest.get("name"),
             "seed": dataset.manifest.get("seed"),
+            "radio": dict(radio),
         },
         max_speed_m_s=None if speed is None else float(speed),
         echo_bias_std_m=settings.flash.common_range_std_m,

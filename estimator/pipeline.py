@@ -80,6 +80,7 @@ def slam_file(
     seed: int = 0,
     progress: Progress | None = None,
     command: str | None = None,
+    smooth: bool = False,
 ) -> None:
     """Run SLAM on a measurement file; write a result file and its sidecar.
 
@@ -95,6 +96,8 @@ def slam_file(
         Called with (done, total) and what else the stage has to say.
     command : str, optional
         The command line, for the sidecar.
+    smooth : bool
+        Write the whole run smoothed (:func:`estimator.slam.smoothing.refine.refine`), with its joint map.
 
     Raises
     ------
@@ -110,6 +113,10 @@ def slam_file(
     begin = time.perf_counter()
     result = run_slam(loaded, method=method, engine=engine, seed=seed, progress=progress)
     seconds = time.perf_counter() - begin
+    if smooth:
+        from estimator.slam.smoothing.refine import refine
+
+        result = refine(loaded, result)
     source = None if loaded.dataset is None else _relative(measurements.parent / loaded.dataset, out)
     save_result(replace(result, dataset=source), out)
     record = {

@@ -11,14 +11,18 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.dataset import read_netcdf, write_netcdf
-from estimator.errors import FileFormatError
+from estimator.errors import FileFormatError, InputError
+from estimator.joint_map import JOINT_SHAPES, JointMap, joint_map_of
 from estimator.json_objects import json_object
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = ["SlamResult", "load_result", "save_result"]
 
@@ -104,6 +108,8 @@ class SlamResult:
         Probability that the agent is within a metre of where it is thought to be; NaN if unknown.
     protection_level_m : ndarray, shape (T,)
         The error of the position is smaller with 99.9 % probability, metres; NaN if unknown.
+    joint : JointMap or None
+        The map as a whole and which path was which feature, where the run was smoothed.
     settings : mapping
         Resolved configuration of the run and of its measurements (JSON types).
     dataset : str or None
@@ -139,6 +145,7 @@ class SlamResult:
     integrity_state: NDArray[np.int64] | None = None
     integrity_probability: NDArray[np.float64] | None = None
     protection_level_m: NDArray[np.float64] | None = None
+    joint: JointMap | None = None
 
     @property
     def flagged(self) -> NDArray[np.bool_]:
@@ -157,6 +164,10 @@ def save_result(result: SlamResult, path: Path) -> None:
         if values.dtype == np.bool_:
             values = values.astype(np.int8)
         variables[name] = (dims, values, {"units": units})
+    if result.joint is not None:
+        for name, values in result.joint.variables().items():
+            dims, units = JOINT_SHAPES[name]
+            variables[name] = (dims, values, {"units": units})
     attributes = {
         "format": FORMAT,
         "version": VERSION,
@@ -180,7 +191,11 @@ def load_result(path: Path) -> SlamResult:
     if missing:
         raise FileFormatError(f"{path}: expected the variables {missing}, they are missing")
     shapes = _SHAPES | {name: shape for name, shape in _LATER.items() if name in data}
-    for name, (dims, _) in shapes.items():
+    joint = dict(JOINT_SHAPES) if any(name in data for name in JOINT_SHAPES) else {}
+    absent = [name for name in joint if name not in data]
+    if absent:
+        raise FileFormatError(f"{path}: expected the variables {absent}, they are missing")
+    for name, (dims, _) in (shapes | joint).items():
         if data[name].dims != dims:
             raise FileFormatError(f"{path}: expected {name} to have axes {dims}, got {data[name].dims}")
     attributes = data.attrs
@@ -195,7 +210,17 @@ def load_result(path: Path) -> SlamResult:
             anchors=tuple(str(name) for name in data["anchor"].values),
             settings=json_object(attributes["settings"], "attribute settings"),
             dataset=str(attributes["dataset"]) or None,
+            joint=_joint(path, data, arrays) if joint else None,
             **arrays,
         )
     except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise FileFormatError(f"{path}: expected attributes of a result, got {error!r}") from error
+
+
+def _joint(path: Path, data: xr.Dataset, arrays: Mapping[str, NDArray[Any]]) -> JointMap:
+    """The joint map that a file holds."""
+    epochs, anchors = arrays["anchor_valid"].shape
+    try:
+        return joint_map_of(lambda name: data[name].values, epochs, anchors, len(arrays["wall_id"]))
+    except InputError as error:
+        raise FileFormatError(f"{path}: {error}") from error

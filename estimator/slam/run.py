@@ -162,6 +162,7 @@ def collect(
     def stacked(name: str, *shape: int) -> np.ndarray[Any, np.dtype[np.float64]]:
         return np.array([getattr(e, name) for e in estimates], dtype=np.float64).reshape(epochs, *shape)
 
+    told: dict[str, Any] = {**stacked_candidates([e.candidates for e in estimates])}
     return SlamResult(
         method=method,
         engine=engine,
@@ -183,7 +184,7 @@ def collect(
         log_evidence=stacked("log_evidence"),
         anchor_existence=stacked("anchor_existence", anchors),
         wall_existence=wall_existence,
-        **stacked_candidates([e.candidates for e in estimates]),
+        **told,
         integrity_state=np.array([_STATES.get(e.integrity.state, -1) for e in estimates], dtype=np.int64),
         integrity_probability=np.array([e.integrity.probability for e in estimates]),
         protection_level_m=np.array([e.integrity.protection_level_m for e in estimates]),

@@ -158,13 +158,16 @@ def slam(
     method: Annotated[str, typer.Option(help="What is known and sensed.")] = "hybrid",
     engine: Annotated[str, typer.Option(help="How inference is done.")] = "gaussian",
     seed: Seed = 1,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Write the whole run smoothed, each epoch given all of it.")
+    ] = False,
     quiet: Quiet = False,
 ) -> None:
     """Estimate agent, anchors and walls, epoch by epoch."""
     from estimator.pipeline import slam_file
 
     with Reporter(quiet).stage("slam") as advance:
-        slam_file(measurements, out, method, engine, seed, advance, _command())
+        slam_file(measurements, out, method, engine, seed, advance, _command(), smooth)
 
 
 @app.command(epilog=_examples("evaluate room-result.nc", "evaluate room-result.nc --truth room --json"))

@@ -125,7 +125,7 @@ def path_factors(
         odds = chance / (1.0 - chance)
         heard, feature = _share(paths, prediction.length_m, spread, usable, odds, model, least_probability)
     pick = np.nonzero(feature >= 0)
-    epoch, anchor, _ = pick
+    epoch, anchor, number = pick
     std = np.maximum(paths.std_m[pick], noise.range_std_m)
     return PathFactors(
         epoch,
@@ -135,6 +135,7 @@ def path_factors(
         std,
         paths.azimuth_rad[pick],
         paths.azimuth_std_rad[pick],
+        number,
     )
 
 

@@ -43,6 +43,8 @@ class PathFactors:
     azimuth_rad, azimuth_std_rad : ndarray, shape (N,), optional
         Directions of arrival in the estimator's frame; an infinite standard deviation where
         there is none, as by default everywhere.
+    number : ndarray of int64, shape (N,), optional
+        Place of each path among those of its anchor and epoch; -1, as by default, where nobody asks.
 
     The factors are kept in the order of their epochs.
     """
@@ -54,9 +56,12 @@ class PathFactors:
     std_m: Array
     azimuth_rad: Array = None  # type: ignore[assignment]  # by default: none are measured
     azimuth_std_rad: Array = None  # type: ignore[assignment]
+    number: NDArray[np.int64] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         shape = np.shape(self.epoch)
+        if self.number is None:
+            object.__setattr__(self, "number", np.full(shape, -1))
         if self.azimuth_rad is None or self.azimuth_std_rad is None:
             object.__setattr__(self, "azimuth_rad", np.zeros(shape))
             object.__setattr__(self, "azimuth_std_rad", np.full(shape, np.inf))
@@ -68,7 +73,7 @@ class PathFactors:
             raise InputError("PathFactors: expected finite lengths and positive standard deviations")
         order = np.argsort(self.epoch, kind="stable")
         for entry in fields(self):
-            dtype = np.int64 if entry.name in ("epoch", "anchor", "feature") else np.float64
+            dtype = np.int64 if entry.name in ("epoch", "anchor", "feature", "number") else np.float64
             object.__setattr__(
                 self, entry.name, np.ascontiguousarray(getattr(self, entry.name)[order], dtype=dtype)
             )

@@ -33,6 +33,7 @@ from estimator.slam.smoothing.factors import (
     Trajectory,
     column_of,
 )
+from estimator.slam.smoothing.map_evidence import joint_map
 from estimator.slam.smoothing.measured_paths import length_variances
 from estimator.slam.smoothing.smoother import Smoothed, smooth, smooth_fixed_lag
 
@@ -110,7 +111,7 @@ def refine(
     -------
     SlamResult
         All epochs given all measurements (or those up to the lag); engine ``smoother``. Anchors and walls are
-        those of the result's last epoch.
+        those of the result's last epoch; ``joint`` tells what they have in common and which path was which.
 
     Raises
     ------
@@ -142,7 +143,8 @@ def refine(
         at, spread = smoothed.trajectory, _spread(problem, smoothed)
     if config.lag:
         smoothed = smooth_fixed_lag(problem, at, config.lag)
-    return _result(measurements, result, smoothed, located, wall_id)
+    joint = joint_map(problem, smoothed, measurements, np.argsort(wall_id))
+    return replace(_result(result, smoothed, located, wall_id), joint=joint)
 
 
 def _start(
@@ -247,7 +249,6 @@ def _sweep_factors(problem: Problem, at: Trajectory, measurements: MeasurementSe
 
 
 def _result(
-    measurements: MeasurementSet,
     result: SlamResult,
     smoothed: Smoothed,
     located: NDArray[np.bool_],

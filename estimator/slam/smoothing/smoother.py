@@ -22,7 +22,7 @@ from estimator.slam.smoothing.arrowhead import Marginals, eliminate
 from estimator.slam.smoothing.factors import Problem, SweepFactor, Trajectory
 from estimator.slam.smoothing.linearise import Linear, Past, linearise
 
-__all__ = ["Descent", "Smoothed", "smooth", "smooth_fixed_lag"]
+__all__ = ["Descent", "Smoothed", "placed", "smooth", "smooth_fixed_lag"]
 
 Array = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def smooth(problem: Problem, start: Trajectory) -> Smoothed:
     trajectory, linear = descend(problem, start)
     marginals = eliminate(linear.matrix).marginals()
     epochs = range(len(trajectory.agent))
-    places = [_place(problem, trajectory, marginals, t) for t in epochs]
+    places = [placed(problem, trajectory, marginals, t) for t in epochs]
     return _collect(problem.layout, places, linear.cost, trajectory, marginals)
 
 
@@ -190,7 +190,7 @@ def smooth_fixed_lag(problem: Problem, start: Trajectory, lag: int = 20, iterati
         marginals = eliminate(linear.matrix).marginals()
         leaving = range(len(window.agent)) if now == last else range(1)
         for t in leaving:
-            places.append(_place(problem, window, marginals, t))
+            places.append(placed(problem, window, marginals, t))
             agents.append(window.agent[t])
         if now < last:
             past = _eliminate_first(part, window, past, basis)
@@ -248,8 +248,21 @@ def _eliminate_first(part: Problem, window: Trajectory, past: Past | None, basis
     return Past(0.5 * (information + information.T), gradient, Trajectory(at.agent[1:], at.still))
 
 
-def _place(problem: Problem, trajectory: Trajectory, marginals: Marginals, t: int) -> tuple[Array, Array]:
-    """Agent, anchors and walls of an epoch in the estimator's frame, then theta, and their covariance."""
+def placed(problem: Problem, trajectory: Trajectory, marginals: Marginals, t: int) -> tuple[Array, Array]:
+    """Agent, anchors and walls of an epoch in the estimator's frame, then theta, and their covariance.
+
+    Parameters
+    ----------
+    problem, trajectory, marginals
+        A smoothed run.
+    t : int
+        Row of its epochs; -1 is the last, also of a window.
+
+    Returns
+    -------
+    values, covariance : ndarray, shapes (5 + 2 (K + L),) and its square
+        x, y, vx, vy, then x, y of each anchor and of each VRP, metres, and the rotation, radians.
+    """
     layout, (basis, _) = problem.layout, problem.basis()
     state = trajectory.still.copy()
     state[AGENT] = trajectory.agent[t]
