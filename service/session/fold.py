@@ -23,6 +23,7 @@ from estimator.slam import Engine, Prior, epoch_rng
 from estimator.slam.run import config_for, engine_for
 from estimator.threads import one_blas_thread
 from service.messages.documents import dump, estimate_document, read_epoch, read_sweep
+from service.messages.packed import pack_estimate
 from service.session.state_cache import StateCache
 from service.storage.folded import Folded
 
@@ -176,8 +177,9 @@ def fold(
             epoch = read_epoch(text)
             begin_step(_described(epoch))
             state = engine.step(state, epoch, epoch_rng(config["seed"], epoch.index))
-            document = estimate_document(epoch.index, epoch.time_s, config["anchors"], engine.estimate(state))
-            rows.append(_row(document))
+            estimate = engine.estimate(state)
+            document = estimate_document(epoch.index, epoch.time_s, config["anchors"], estimate)
+            rows.append(_row(document) | {"packed": pack_estimate(epoch.index, epoch.time_s, estimate)})
     except (ArithmeticError, np.linalg.LinAlgError, IndexError) as error:
         raise InputError(f"the {engine.name} engine cannot take these measurements: {error}") from error
     snapshot = engine.save(state)

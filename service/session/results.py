@@ -13,11 +13,10 @@ from sqlalchemy import Connection, Row
 
 from estimator.evaluation.wall_lines import line_points, line_std, seen_span
 from estimator.measurement_files import save_measurements
-from estimator.measurements import AnchorPaths, Epoch
 from estimator.result import SlamResult, save_result
-from estimator.slam.run import collect
 from service.errors import ConflictError
 from service.messages.documents import read_epoch, read_estimate, read_sweep
+from service.messages.packed import RunTerms, pack_estimate, unpack_run
 from service.session.fold import measurement_set
 from service.storage.store import Store
 
@@ -47,13 +46,20 @@ def latest_epoch(row: Row[Any], epoch: int | None) -> int:
 def session_result(store: Store, row: Row[Any], connection: Connection, last: int = _LAST) -> SlamResult:
     """The estimates up to an epoch, as a batch run gives them."""
     config = json.loads(row.config)
-    documents = [json.loads(found.document) for found in store.estimates(row.id, 0, last, connection)]
-    silent = tuple(AnchorPaths(np.zeros(0), np.zeros(0)) for _ in config["anchors"])
-    epochs = tuple(Epoch(document["epoch"], document["time_s"], silent) for document in documents)
-    measurements = replace(measurement_set(config), epochs=epochs)
-    estimates = [read_estimate(document) for document in documents]
-    settings = {"session": config}
-    return collect(measurements, estimates, config["method"], config["engine"], config["seed"], settings)
+    packed = [
+        found.packed if found.packed is not None else _packed(found.document)
+        for found in store.packed_estimates(row.id, last, connection)
+    ]
+    terms = RunTerms(
+        config["method"], config["engine"], config["seed"], tuple(config["anchors"]), {"session": config}
+    )
+    return unpack_run(packed, terms)
+
+
+def _packed(text: str) -> bytes:
+    """What a row lacks that was written before estimates were packed."""
+    document = json.loads(text)
+    return pack_estimate(document["epoch"], document["time_s"], read_estimate(document))
 
 
 def result_file(result: SlamResult) -> bytes:

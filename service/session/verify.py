@@ -58,7 +58,8 @@ def _compare(store: Store, session_id: str) -> Finding | None:
         kept = connection.execute(
             sa.select(snapshots).where(snapshots.c.session_id == session_id)
         ).one_or_none()
-        documents = [found.document for found in store.estimates(session_id, 0, 2**31 - 1, connection)]
+        rows = list(store.estimates(session_id, 0, 2**31 - 1, connection))
+        documents, packed = [row.document for row in rows], [row.packed for row in rows]
     differences = []
     if (len(sweeps), len(epochs)) != (row.next_sweep, row.next_epoch):
         differences.append(
@@ -76,6 +77,8 @@ def _compare(store: Store, session_id: str) -> Finding | None:
     if kept is None or bytes(kept.state) != folded.snapshot or bytes(kept.sha256) != digest(folded.snapshot):
         differences.append("the snapshot differs")
     again = [estimate["document"] for estimate in folded.estimates]
+    if any(old not in (None, made["packed"]) for old, made in zip(packed, folded.estimates, strict=False)):
+        differences.append("the packed estimates differ")
     if again != documents:
         first = next(
             (i for i, pair in enumerate(zip(again, documents, strict=False)) if pair[0] != pair[1]),

@@ -299,6 +299,14 @@ class Store:
         )
         return connection.execute(query.order_by(estimates.c.epoch).limit(limit))
 
+    def packed_estimates(self, session_id: str, last: int, connection: Connection) -> Iterable[Row[Any]]:
+        """Packed estimates up to an epoch, ascending; of rows that have none their documents instead."""
+        unpacked = sa.case((estimates.c.packed.is_(None), estimates.c.document)).label("document")
+        query = sa.select(estimates.c.packed, unpacked).where(
+            estimates.c.session_id == session_id, estimates.c.epoch <= last
+        )
+        return connection.execute(query.order_by(estimates.c.epoch))
+
     def track(
         self, session_id: str, first: int, connection: Connection, limit: int, columns: Sequence[str]
     ) -> Sequence[Row[Any]]:
