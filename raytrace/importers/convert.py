@@ -1,9 +1,9 @@
 """Drawings of other programs to floor plans, with a report of what became of everything.
 
 A file is read once, whole, and by its suffix: ``.dxf``, ``.geojson`` or ``.json``,
-``.xml`` (Mitsuba), ``.ply``, ``.obj``, ``.stl``, ``.glb``, ``.gltf`` and ``.osm``. Nothing else is opened:
-references to other files are reported, and meshes of a Mitsuba scene are given explicitly. Nothing
-in a file is run.
+``.xml`` (Mitsuba), ``.ply``, ``.obj``, ``.stl``, ``.glb``, ``.gltf``, ``.osm`` and ``.ifc``. Nothing else
+is opened: references to other files are reported, and meshes of a Mitsuba scene are given explicitly.
+Nothing in a file is run.
 
 Lines then go the same way: double ones become one surface, ends are led to the walls
 they run into, and an agent and anchors are placed where the file marks none.
@@ -24,6 +24,7 @@ from raytrace.importers.collapse import collapse
 from raytrace.importers.drawing import Drawing, ImportReport, Line, Point, require_size
 from raytrace.importers.dxf import read_dxf
 from raytrace.importers.geojson import read_geojson
+from raytrace.importers.ifc import read_ifc
 from raytrace.importers.joins import join_ends
 from raytrace.importers.mesh import read_model, read_ply
 from raytrace.importers.mitsuba import read_mitsuba
@@ -40,7 +41,7 @@ from raytrace.plan.surfaces import Wall
 __all__ = ["SUFFIXES", "Imported", "floorplan_of", "import_floorplan", "read_drawing"]
 
 MODELS = (".obj", ".stl", ".glb", ".gltf")
-SUFFIXES = (".dxf", ".geojson", ".json", ".xml", ".ply", *MODELS, ".osm")
+SUFFIXES = (".dxf", ".geojson", ".json", ".xml", ".ply", *MODELS, ".osm", ".ifc")
 
 _MOST_WALLS = 20_000
 # Repairs of walls that are told one by one; and a space below this share of the plan is hardly the right one.
@@ -116,6 +117,8 @@ def read_drawing(path: Path, options: ImportOptions, meshes: Sequence[Path] = ()
         return read_dxf(data, options)
     if suffix == ".osm":
         return read_osm(data, options)
+    if suffix == ".ifc":
+        return read_ifc(data, options)
     if suffix in MODELS:
         return read_model(data, suffix, options)
     if suffix == ".ply":

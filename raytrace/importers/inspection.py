@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimator.errors import InputError
-from raytrace.importers import geojson, osm
+from raytrace.importers import geojson, ifc, osm
 from raytrace.importers.convert import read_drawing
 from raytrace.importers.drawing import Drawing
 from raytrace.importers.options import ImportOptions
@@ -55,8 +55,7 @@ def inspect_drawing(
         If the file cannot be read at all.
     """
     options = ImportOptions() if options is None else options
-    features_in = MAPS.get(path.suffix.lower())
-    levels = [] if features_in is None else geojson.levels_in(features_in(path.read_bytes()))
+    levels = _levels_in(path)
     chosen = options if options.level or len(levels) < 2 else replace(options, level=levels[0])
     problem, report = "", None
     if chosen is not options:
@@ -95,6 +94,14 @@ def inspect_drawing(
         "warnings": (report or drawing.report).warnings,
         "problem": problem,
     }, drawing
+
+
+def _levels_in(path: Path) -> list[str]:
+    """Levels that a file states, in order."""
+    suffix = path.suffix.lower()
+    if suffix == ".ifc":
+        return ifc.levels_in(path.read_bytes())
+    return geojson.levels_in(MAPS[suffix](path.read_bytes())) if suffix in MAPS else []
 
 
 def _unit_of(notes: list[str]) -> str | None:

@@ -19,7 +19,7 @@ from estimator.errors import FileFormatError
 from raytrace.importers.drawing import Drawing, Line, require_package, require_size
 from raytrace.importers.options import IGNORE, UNITS_M, ImportOptions
 
-__all__ = ["Solid", "cut", "read_model", "read_ply", "read_ply_mesh"]
+__all__ = ["Solid", "cut", "read_model", "read_ply", "read_ply_mesh", "take_walls"]
 
 Array = NDArray[np.float64]
 
@@ -193,7 +193,7 @@ def cut(solids: list[Solid], options: ImportOptions) -> Drawing:
             continue
         triangles = (vertices - (0.0, 0.0, low[2]))[solid.faces]
         _take_slabs(solid.name, triangles, material, high - low, drawing)
-        _take_walls(solid.name, triangles, material, options, drawing)
+        take_walls(solid.name, triangles, material, options, drawing)
     if not drawing.lines:
         raise FileFormatError(
             f"expected vertical faces {options.cut_m:g} m above the lowest point, got none "
@@ -229,7 +229,31 @@ def _take_slabs(name: str, triangles: Array, material: str, size: Array, drawing
         drawing.report.dropped[f"level face of {name}"] += int(level.sum())
 
 
-def _take_walls(name: str, triangles: Array, material: str, options: ImportOptions, drawing: Drawing) -> None:
+def take_walls(
+    name: str,
+    triangles: Array,
+    material: str,
+    options: ImportOptions,
+    drawing: Drawing,
+    top_m: float | None = None,
+) -> None:
+    """Add a line where an upright face meets the cut, as high as the face reaches.
+
+    Parameters
+    ----------
+    name : str
+        What the faces belong to, for the report.
+    triangles : ndarray, shape (n, 3, 3)
+        Faces, metres above the floor.
+    material : str
+        What they are made of.
+    options : ImportOptions
+        Height of the cut, and thickness of single faces.
+    drawing : Drawing
+        Gets the lines, and its report what became of which face.
+    top_m : float, optional
+        Height of all lines in place of that of each face, metres.
+    """
     normal, area = _normals(triangles)
     report = drawing.report
     upright = (np.abs(normal[:, 2]) <= _VERTICAL) & (area > 0)
@@ -250,6 +274,6 @@ def _take_walls(name: str, triangles: Array, material: str, options: ImportOptio
                 ends.append((float(x), float(y)))
         start, end = ends
         if start != end:
-            top = round(float(triangle[:, 2].max()), 4)
+            top = round(float(triangle[:, 2].max()), 4) if top_m is None else top_m
             drawing.add(Line(start, end, material, top, options.thickness_m, name))
     report.kept, report.dropped = +report.kept, +report.dropped

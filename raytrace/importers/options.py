@@ -35,11 +35,13 @@ _NOTHING = frozenset(
 )
 _WORDS = {
     "glass": frozenset(("glaz", "glazing", "window", "wind", "fenster", "curtain")),
-    "brick": frozenset(("masonry", "mason")),
-    "plasterboard": frozenset(("plaster", "gypsum", "gyps", "drywall", "partition", "prtn")),
-    "metal": frozenset(("steel", "rack", "shelf", "shelving")),
-    "wood": frozenset(("timber",)),
-    "concrete": frozenset(("conc", "wall", "wand", "column", "cols", "pillar")),
+    "brick": frozenset(("masonry", "mason", "ziegel", "mauerwerk", "kalksandstein")),
+    "plasterboard": frozenset(
+        ("plaster", "gypsum", "gyps", "drywall", "partition", "prtn", "gips", "gipskarton", "trockenbau")
+    ),
+    "metal": frozenset(("steel", "rack", "shelf", "shelving", "aluminium", "aluminum", "stahl")),
+    "wood": frozenset(("timber", "holz", "oak", "pine")),
+    "concrete": frozenset(("conc", "beton", "stahlbeton", "wall", "wand", "column", "cols", "pillar")),
 }
 
 

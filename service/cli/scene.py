@@ -132,7 +132,7 @@ def random_(
 Drawn = Annotated[
     Path,
     typer.Argument(
-        help="Drawing: .dxf, .geojson, .json, .osm, .xml (Mitsuba), .ply, .obj, .stl, .glb or .gltf.",
+        help="Drawing: .dxf, .geojson, .json, .osm, .xml (Mitsuba), .ply, .obj, .stl, .glb, .gltf or .ifc.",
         metavar="FILE",
     ),
 ]
