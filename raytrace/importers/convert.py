@@ -1,9 +1,9 @@
 """Drawings of other programs to floor plans, with a report of what became of everything.
 
 A file is read once, whole, and by its suffix: ``.dxf``, ``.geojson`` or ``.json``,
-``.xml`` (Mitsuba), ``.ply``, ``.obj``, ``.stl``, ``.glb``, ``.gltf``, ``.osm`` and ``.ifc``. Nothing else
-is opened: references to other files are reported, and meshes of a Mitsuba scene are given explicitly.
-Nothing in a file is run.
+``.xml`` (Mitsuba), ``.ply``, ``.obj``, ``.stl``, ``.glb``, ``.gltf``, ``.osm``, ``.ifc``,
+and ``.zip`` or a folder (IMDF). Nothing else is opened: references to other files are reported, and meshes
+of a Mitsuba scene are given explicitly. Nothing in a file is run.
 
 Lines then go the same way: double ones become one surface, ends are led to the walls
 they run into, and an agent and anchors are placed where the file marks none.
@@ -25,6 +25,7 @@ from raytrace.importers.drawing import Drawing, ImportReport, Line, Point, requi
 from raytrace.importers.dxf import read_dxf
 from raytrace.importers.geojson import read_geojson
 from raytrace.importers.ifc import read_ifc
+from raytrace.importers.imdf import is_imdf, read_imdf
 from raytrace.importers.joins import join_ends
 from raytrace.importers.mesh import read_model, read_ply
 from raytrace.importers.mitsuba import read_mitsuba
@@ -41,7 +42,7 @@ from raytrace.plan.surfaces import Wall
 __all__ = ["SUFFIXES", "Imported", "floorplan_of", "import_floorplan", "read_drawing"]
 
 MODELS = (".obj", ".stl", ".glb", ".gltf")
-SUFFIXES = (".dxf", ".geojson", ".json", ".xml", ".ply", *MODELS, ".osm", ".ifc")
+SUFFIXES = (".dxf", ".geojson", ".json", ".xml", ".ply", *MODELS, ".osm", ".ifc", ".zip")
 
 _MOST_WALLS = 20_000
 # Repairs of walls that are told one by one; and a space below this share of the plan is hardly the right one.
@@ -106,12 +107,14 @@ def import_floorplan(
 def read_drawing(path: Path, options: ImportOptions, meshes: Sequence[Path] = ()) -> Drawing:
     """Read a file by its suffix; raises as :func:`import_floorplan`."""
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
+    if suffix not in SUFFIXES and not is_imdf(path):
         raise FileFormatError(
             f"expected a name that ends in {', '.join(SUFFIXES)}, got {suffix or 'no suffix'!r}"
         )
     if meshes and suffix != ".xml":
         raise FileFormatError(f"expected meshes with a Mitsuba scene (.xml) alone, got them with {suffix}")
+    if is_imdf(path):
+        return read_imdf(path, options)
     data = _read(path)
     if suffix == ".dxf":
         return read_dxf(data, options)

@@ -16,6 +16,7 @@ import numpy as np
 from estimator.errors import BackendError, FileFormatError, InputError
 
 __all__ = [
+    "LARGEST_BYTES",
     "Drawing",
     "ImportReport",
     "Line",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimator.errors import InputError
-from raytrace.importers import geojson, ifc, osm
+from raytrace.importers import geojson, ifc, imdf, osm
 from raytrace.importers.convert import read_drawing
 from raytrace.importers.drawing import Drawing
 from raytrace.importers.options import ImportOptions
@@ -77,7 +77,7 @@ def inspect_drawing(
         drawing.report.notes.append("no unit known: extents are in units of the file")
     ends = np.array([(line.start_m, line.end_m) for line in drawing.lines]).reshape(-1, 2)
     layers: dict[str, dict[str, Any]] = defaultdict(lambda: {"lines": 0, "length_m": 0.0})
-    for line in drawing.lines if path.suffix.lower() not in MAPS else ():  # features have no layers
+    for line in drawing.lines if not _is_map(path) else ():  # features have no layers
         layers[line.source]["lines"] += 1
         layers[line.source]["length_m"] += line.length_m
     for name, facts in layers.items():
@@ -96,9 +96,15 @@ def inspect_drawing(
     }, drawing
 
 
+def _is_map(path: Path) -> bool:
+    return path.suffix.lower() in MAPS or imdf.is_imdf(path)
+
+
 def _levels_in(path: Path) -> list[str]:
     """Levels that a file states, in order."""
     suffix = path.suffix.lower()
+    if imdf.is_imdf(path):
+        return geojson.levels_in(imdf.venue_features(path))
     if suffix == ".ifc":
         return ifc.levels_in(path.read_bytes())
     return geojson.levels_in(MAPS[suffix](path.read_bytes())) if suffix in MAPS else []

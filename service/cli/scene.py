@@ -132,7 +132,8 @@ def random_(
 Drawn = Annotated[
     Path,
     typer.Argument(
-        help="Drawing: .dxf, .geojson, .json, .osm, .xml (Mitsuba), .ply, .obj, .stl, .glb, .gltf or .ifc.",
+        help="Drawing: .dxf, .geojson, .json, .osm, .xml (Mitsuba), .ply, .obj, .stl, .glb, .gltf, .ifc; "
+        "or a venue (IMDF), as a folder or .zip.",
         metavar="FILE",
     ),
 ]
