@@ -81,6 +81,8 @@ def _compile_the_rest() -> None:
 
 
 def _tell(connection: Connection, error: Exception) -> None:
+    """Send an error without what led to it: the server would rebuild all of that while nobody else runs."""
+    error.__cause__ = error.__context__ = error.__traceback__ = None
     try:
         connection.send(("failed", error))
     except Exception:  # it does not travel

@@ -6,6 +6,7 @@ import os
 import time
 from dataclasses import dataclass
 
+from estimator.errors import InputError
 from service.session.tasks import TaskContext
 
 
@@ -48,6 +49,25 @@ class Hoard:
         """Take it."""
         context.begin_step("epoch 8 (64 anchors, 12800 paths)")
         return len(bytearray(self.mebibytes * 2**20))
+
+
+@dataclass(frozen=True)
+class Stumble:
+    """Fails over something that failed over something, so many times."""
+
+    times: int
+
+    def run(self, context: TaskContext) -> int:
+        """Fail."""
+        from tblib import pickling_support  # of a development tool: causes and frames travel, too
+
+        pickling_support.install()
+        try:
+            if self.times:
+                Stumble(self.times - 1).run(context)
+        except Exception as error:
+            raise InputError(f"expected less than {self.times}") from error
+        raise InputError("expected at least one")
 
 
 @dataclass(frozen=True)

@@ -42,13 +42,21 @@ _TRUTH: dict[int | str, Any] = {
 
 async def _once(
     request: Request,
+    here: ContextDep,
     idempotency_key: Annotated[str | None, Header(min_length=1, max_length=200, pattern="^[!-~]+$")] = None,
 ) -> Once:
     """The request's Idempotency-Key, and a digest of all that the request asks for."""
     if idempotency_key is None:
         return None
-    asked = f"{request.url.path}?{request.url.query}".encode()
-    return idempotency_key, hashlib.sha256(asked + b"\n" + await request.body()).digest()
+    asked = f"{request.url.path}?{request.url.query}\n".encode()
+    return idempotency_key, await here.run(_digest, asked, await request.body())
+
+
+def _digest(*parts: bytes) -> bytes:
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(part)
+    return found.digest()
 
 
 OnceDep = Annotated[Once, Depends(_once)]

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 
+from estimator.errors import InputError
 from service.api.app import create_app
 from service.errors import StepTooLargeError, StepTooLongError, WorkerDiedError
 from service.session.fold import Job
@@ -17,7 +18,7 @@ from service.session.tasks import WorkerSetup
 from service.session.worker import LocalWorker, Worker
 from service.settings import load_settings
 from service.storage.folded import Folded
-from tests.service.tasks import Crash, Hoard, Nap, Spin
+from tests.service.tasks import Crash, Hoard, Nap, Spin, Stumble
 
 
 @pytest.fixture
@@ -48,6 +49,14 @@ def test_what_exceeds_a_limit_is_replaced(worker: Worker) -> None:
     seen.add(worker.do(Nap(0.0)))
     assert len(seen) == 5
     assert os.getpid() not in seen
+
+
+def test_an_error_comes_without_its_causes(worker: Worker) -> None:
+    """What led to an error stays in the process: rebuilding it would keep the whole server waiting."""
+    with pytest.raises(InputError, match="expected less than 50") as caught:
+        worker.do(Stumble(50))
+    assert caught.value.__cause__ is None
+    assert caught.value.__context__ is None
 
 
 def test_a_step_that_waits_for_the_processor_is_not_too_long(worker: Worker) -> None:
