@@ -118,7 +118,7 @@ def _survey_one(
     epochs = []
     for epoch in heard.tolist():
         these = np.flatnonzero(own & (log.epoch == epoch))
-        variance = np.maximum(log.std_m[these], config.noise.range_std_m) ** 2
+        variance = np.maximum(log.std_m[these], config.heard.range_std_m) ** 2
         epochs.append((log.length_m[these], variance, direct_ratio(log.excess_loss_db[these] - gain, search)))
     seen = gathered(log.track.position_m[rows], log.track.std_m[rows] ** 2, epochs)
     walls = np.flatnonzero(hypotheses.present[best] & state.slots.confirmed)

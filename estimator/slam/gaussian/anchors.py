@@ -46,7 +46,7 @@ def initialise_anchors(
         paths=paths,
         heard=state.buffer,
         gain_offset_db=known_gain_offsets(state.losses_db, config.path_loss),
-        noise=config.noise,
+        noise=config.heard,
         fresh_visibility=prior_visibility(layout, config.visibility),
         prune_nats=phase.prune_nats,
         reduce=reduce,

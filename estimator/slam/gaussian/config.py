@@ -115,6 +115,13 @@ class GaussianConfig(SettingGroups):
         return replace(self.anchors, height_cells=0) if planar else self.anchors
 
     @cached_property
+    def heard(self) -> MeasurementNoise:
+        """Noise of paths whose deviations are those that are believed: a level may be below 1."""
+        level = self.noise_level
+        least = min(level.least_level, 1.0) if level.level_memory > 0.0 else 1.0
+        return replace(self.noise, range_std_m=self.noise.range_std_m * least**0.5)
+
+    @cached_property
     def kernels(self) -> Kernels:
         """The same as compiled functions take it."""
         branching = {entry.name: getattr(self.branching, entry.name) for entry in fields(self.branching)}
@@ -130,7 +137,7 @@ class GaussianConfig(SettingGroups):
                 self.gating.pair_gate_std_m,
                 self.gating.pair_margin,
                 self.gating.bent_share,
-                self.noise.range_std_m,
+                self.heard.range_std_m,
             ),
             BranchModel(**branching, pair_std_m=self.gating.pair_std_m),
         )

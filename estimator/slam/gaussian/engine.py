@@ -98,7 +98,7 @@ def step(
     )
     epoch = guard_clutter(epoch, config.noise.most_paths)
     paths = stack_paths(epoch, state.carrier_hz, state.bearing_rad)
-    paths = believed(paths, state.levels, epoch.time_s, config.noise_level.model)
+    paths = believed(paths, config.noise.range_std_m, state.levels, epoch.time_s, config.noise_level.model)
     state = _predict(state, epoch, config)
     if epoch.sweep and state.shared:
         state = _sweep(state, epoch, config, phase)
@@ -182,7 +182,7 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
         active_features(layout, before.located[best], before.present[best], slots.confirmed, slots.owner),
         before.visibility[best],
         paths,
-        config.noise.range_std_m,
+        clutter,
         state.levels,
         state.time_s,
         config.noise_level.model,
@@ -291,8 +291,8 @@ def _remember(
 
 
 def _bear(state: GaussianState, config: GaussianConfig, phase: Phase) -> GaussianState:
-    """New walls or virtual anchors that the buffer's paths ask for, unless noise is more than claimed."""
-    if np.any(state.levels.level > config.noise_level.doubt_level):
+    """New walls or virtual anchors that the buffer's paths ask for, unless noise is more than is believed."""
+    if np.any(state.levels.misfit > config.noise_level.doubt_level):
         return state
     if not state.shared:
         return bear_virtual_anchors(state, config, phase.max_hypotheses)

@@ -181,7 +181,7 @@ def state_of(
         indicators=no_indicators(config.integrity),
         echo_residuals=np.full(2, config.sweeps.residual_flashes),
         losses_db=first_losses(anchors, config.noise.gain_offset_std_db, config.path_loss),
-        levels=first_levels(anchors),
+        levels=first_levels(anchors, config.noise_level.levels_weighed),
     )
 
 

@@ -17,7 +17,7 @@ from estimator.slam.models.state_vector import Layout
 __all__ = ["GaussianState", "Slots", "load_state", "save_state"]
 
 Array = NDArray[np.float64]
-FORMAT = "hapslam-gaussian-state/9"
+FORMAT = "hapslam-gaussian-state/10"
 
 
 class Slots(NamedTuple):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from estimator.compiled import compiled
 from estimator.slam.models.epoch_paths import EpochPaths
 from estimator.slam.models.features import MOST_ENTRIES, possible_paths, sources
-from estimator.slam.models.kalman import projected
+from estimator.slam.models.kalman import projected, scalar_update
 from estimator.slam.models.path_lengths import length_gradient, path_lengths
 from estimator.slam.models.settings import Settings, not_negative, positive, probability
 from estimator.slam.models.state_vector import FIRST_ANCHOR, PER_ANCHOR, Layout
@@ -41,24 +41,31 @@ class NoiseLevel(Settings):
         Measurements of an anchor over which the level of its variance is learnt; 0 believes the claim.
     least_level, most_level : float
         Bounds of the level, a factor on the claimed variance.
+    levels_weighed : int
+        Levels between them that are weighed: two that follow each other differ by a quarter.
     level_prior : float
-        Measurements that the claim weighs at the start.
+        Measurements that the claim weighs.
     level_sigma : float
         An innovation counts as no more than so many standard deviations: it may be another path.
     level_visibility : float
         Features that are visible at least this surely tell the level.
     doubt_level : float
-        Nothing is born while an anchor's level is above this: what fits nothing may be what is known.
+        Nothing is born while the mean square of an anchor's latest innovations is above this, over what is
+        believed of them: what fits nothing may be what is known.
+    doubt_memory : float
+        Measurements that this mean is of.
     """
 
     alike_s: float = not_negative(0.0)
-    level_memory: float = not_negative(0.0)
+    level_memory: float = not_negative(100.0)
     least_level: float = positive(0.1)
     most_level: float = positive(25.0)
+    levels_weighed: int = positive(25)
     level_prior: float = positive(3.0)
     level_sigma: float = positive(4.0)
     level_visibility: float = probability(0.8)
     doubt_level: float = positive(2.25)
+    doubt_memory: float = positive(30.0)
 
     @property
     def model(self) -> LevelModel:
@@ -68,9 +75,11 @@ class NoiseLevel(Settings):
             self.level_memory,
             self.least_level,
             self.most_level,
+            self.levels_weighed,
             self.level_prior,
             self.level_sigma,
             self.level_visibility,
+            self.doubt_memory,
         )
 
 
@@ -81,9 +90,11 @@ class LevelModel(NamedTuple):
     memory: float
     least: float
     most: float
+    grid: int
     prior: float
     sigma: float
     visibility: float
+    doubt_memory: float
 
 
 class Levels(NamedTuple):
@@ -95,18 +106,28 @@ class Levels(NamedTuple):
         When it was last heard, seconds; minus infinity before.
     level : ndarray, shape (K,)
         Factor on its claimed variance.
-    told_by : ndarray, shape (K,)
-        Measurements that tell it.
+    log_odds : ndarray, shape (K, G)
+        Log likelihoods of levels on a grid (:func:`level_grid`), forgotten with time.
+    misfit : ndarray, shape (K,)
+        Mean square of its latest innovations, over what was believed of them.
     """
 
     heard_s: Array
     level: Array
-    told_by: Array
+    log_odds: Array
+    misfit: Array
 
 
-def first_levels(anchors: int) -> Levels:
+def first_levels(anchors: int, levels_weighed: int) -> Levels:
     """What is believed before the first epoch: the claim."""
-    return Levels(np.full(anchors, -np.inf), np.ones(anchors), np.zeros(anchors))
+    log_odds = np.zeros((anchors, levels_weighed))
+    return Levels(np.full(anchors, -np.inf), np.ones(anchors), log_odds, np.ones(anchors))
+
+
+@compiled
+def level_grid(model: LevelModel) -> Array:
+    """Logarithms of the levels that are weighed, from the least to the most in equal steps."""
+    return np.linspace(np.log(model.least), np.log(model.most), model.grid)
 
 
 @compiled
@@ -119,13 +140,18 @@ def _alike(levels: Levels, k: int, time_s: float, model: LevelModel) -> float:
 
 
 @compiled
-def believed(paths: EpochPaths, levels: Levels, time_s: float, model: LevelModel) -> EpochPaths:
-    """The paths of an epoch with the deviations that are believed."""
+def believed(
+    paths: EpochPaths, range_std_m: float, levels: Levels, time_s: float, model: LevelModel
+) -> EpochPaths:
+    """The paths of an epoch with the deviations that are believed: those claimed, scaled.
+
+    Of those claimed none is below ``range_std_m``.
+    """
     std = paths.std_m.copy()
     for k in range(paths.number.size):
         factor = np.sqrt(levels.level[k] * _alike(levels, k, time_s, model))
         for j in range(paths.number[k]):
-            std[k, j] *= factor
+            std[k, j] = factor * max(std[k, j], range_std_m)
     return EpochPaths(
         paths.number,
         paths.length_m,
@@ -144,16 +170,18 @@ def learned(
     mean: Array,
     covariance: Array,
     active: Mask,
-    visibility: Array,
+    chance: Array,
     paths: EpochPaths,
-    range_std_m: float,
+    clutter: Array,
     levels: Levels,
     time_s: float,
     model: LevelModel,
 ) -> Levels:
     """The levels after an epoch: lines of sight and single bounces that are surely visible tell them.
 
-    Time is that of these features, times the paths.
+    The innovation of each feature's nearest path, given those before it, is Gaussian with the variance of
+    the prediction and the level's times that of the claim, or the path is another: so each level of a grid
+    has a likelihood. Time is that of as many Kalman updates as there are such features.
 
     Parameters
     ----------
@@ -163,12 +191,12 @@ def learned(
         The likeliest hypothesis, predicted.
     active : ndarray of bool, shape (K, F)
         Features that it has.
-    visibility : ndarray, shape (K, F)
+    chance : ndarray, shape (K, F)
         Probability that each is visible.
     paths : EpochPaths
         The epoch's paths with the deviations that are believed.
-    range_std_m : float
-        Smallest standard deviation believed of a path length, metres.
+    clutter : ndarray, shape (K,)
+        Intensity per metre of paths that no feature gives.
     levels : Levels
         The levels so far.
     time_s : float
@@ -176,38 +204,59 @@ def learned(
     model : LevelModel
         How to learn.
     """
-    after = Levels(levels.heard_s.copy(), levels.level.copy(), levels.told_by.copy())
+    after = Levels(levels.heard_s.copy(), levels.level.copy(), levels.log_odds.copy(), levels.misfit.copy())
+    mean, covariance = mean.copy(), covariance.copy()
     source = sources(layout, mean, active)
     slanted = path_lengths(layout, mean, source)
     possible = possible_paths(layout, mean, source, active)
     index, value = np.empty(MOST_ENTRIES, dtype=np.int64), np.empty(MOST_ENTRIES)
-    cross = np.empty(mean.size)
+    cross, before, grid = np.empty(mean.size), mean.copy(), level_grid(model)
     for k in range(layout.anchors):
         if paths.number[k] == 0:
             continue
         # of errors that are alike, innovations show but a part
-        least = model.least if _alike(levels, k, time_s, model) < 2.0 else 1.0
+        least = 0.0 if _alike(levels, k, time_s, model) >= 2.0 else grid[0]
         after.heard_s[k] = time_s
         if model.memory == 0.0:
             continue
         for f in range(1 + layout.slots):
-            if not (possible[k, f] and visibility[k, f] >= model.visibility):
+            if not (possible[k, f] and chance[k, f] >= model.visibility):
                 continue
-            expected = slanted[k, f] + mean[FIRST_ANCHOR + PER_ANCHOR * k + 3]
+            entries = length_gradient(layout, before, source, k, f, slanted[k, f], index, value)
+            expected = slanted[k, f] + before[FIRST_ANCHOR + PER_ANCHOR * k + 3]
+            for e in range(entries):
+                expected += value[e] * (mean[index[e]] - before[index[e]])
             nearest, gap = 0, np.inf
             for j in range(paths.number[k]):
                 if abs(paths.length_m[k, j] - expected) < abs(gap):
                     nearest, gap = j, paths.length_m[k, j] - expected
-            entries = length_gradient(layout, mean, source, k, f, slanted[k, f], index, value)
             spread = projected(covariance, index, value, entries, cross)
-            noise = max(paths.std_m[k, nearest], range_std_m) ** 2
-            total = spread + noise
-            if gap * gap > (2.0 * model.sigma) ** 2 * total and (paths.number[k] > 1 or f > 0):
+            noise = paths.std_m[k, nearest] ** 2
+            if gap * gap > (2.0 * model.sigma) ** 2 * (spread + noise) and (paths.number[k] > 1 or f > 0):
                 continue  # its path is not there
-            square = min(gap * gap / total, model.sigma**2)
-            # the mean square of the error, given the innovation, over what was believed
-            shown = levels.level[k] * (noise / total * square + spread / total)
-            after.told_by[k] = min(after.told_by[k] + 1.0, model.memory)
-            level = after.level[k] + (shown - after.level[k]) / (model.prior + after.told_by[k])
-            after.level[k] = min(max(level, least), model.most)
+            square = min(gap * gap / (spread + noise), model.sigma**2)
+            after.misfit[k] += (square - after.misfit[k]) / model.doubt_memory
+            other = (1.0 - chance[k, f]) * clutter[k]
+            for g in range(grid.size):
+                total = spread + noise * np.exp(max(grid[g], least)) / levels.level[k]
+                density = np.exp(-0.5 * gap * gap / total) / np.sqrt(2.0 * np.pi * total)
+                after.log_odds[k, g] *= 1.0 - 1.0 / model.memory
+                after.log_odds[k, g] += np.log(chance[k, f] * density + other)
+            if square < model.sigma**2:
+                scalar_update(mean, covariance, index, value, entries, gap, noise, cross)
+        after.level[k] = _expected_level(after.log_odds[k], grid, least, model)
     return after
+
+
+@compiled
+def _expected_level(log_odds: Array, grid: Array, least: float, model: LevelModel) -> float:
+    """The level whose logarithm is expected; beforehand it is normal about that of the claim."""
+    total = weighted = 0.0
+    top = -np.inf
+    for g in range(grid.size):
+        top = max(top, log_odds[g] - 0.25 * model.prior * grid[g] ** 2)
+    for g in range(grid.size):
+        weight = np.exp(log_odds[g] - 0.25 * model.prior * grid[g] ** 2 - top)
+        total += weight
+        weighted += weight * max(grid[g], least)
+    return float(np.exp(weighted / total))

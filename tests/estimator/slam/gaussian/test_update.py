@@ -63,7 +63,7 @@ def test_clear_paths_are_taken_as_a_kalman_filter_would(room):
     present = np.arange(layout.slots) == 3  # the wall y = 0
     prediction = predict_paths(mean[None], layout)
     length = prediction.length_m[0][:, [0, 4]] + rng.normal(scale=0.05, size=(2, 2))
-    config = GaussianConfig.of(range_std_m=0.1)
+    config = GaussianConfig.of(range_std_m=0.1, level_memory=0.0)
     done = taken(
         layout, one_hypothesis(layout, mean, covariance, 0.9, present), path_table(length, 0.05), config
     )
