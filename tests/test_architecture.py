@@ -17,6 +17,8 @@ LATE = {
     "scene.py",
     "buildings.py",
     "raytrace_rows.py",
+    "twin.py",
+    "twin_plan.py",
 }  # of the service, import raytrace
 
 BLOCKED = """

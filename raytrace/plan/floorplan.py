@@ -20,6 +20,7 @@ from raytrace.plan.materials import permittivity, relative_permittivity
 from raytrace.plan.sound_walls import Repairs
 from raytrace.plan.surfaces import Fraction, Material, ScatteringPattern, Slab, Wall
 from raytrace.plan.trajectory import smoothed_track, travel_azimuths
+from raytrace.plan.uncertainty import Uncertainty
 
 __all__ = [
     "Agent",
@@ -102,6 +103,7 @@ class FloorPlan(Part):
     echo: Echo = Echo()
     tracing: Tracing = Tracing()
     georeference: Georeference | None = added(None)
+    uncertainty: Uncertainty | None = added(None)
     _repairs: Repairs = PrivateAttr(default=Repairs())
 
     @property
@@ -203,6 +205,11 @@ class FloorPlan(Part):
     def _travel_azimuths(self) -> NDArray[np.float64]:
         agent = self.agent
         return travel_azimuths(agent.waypoints_m, agent.smoothing_m, agent.step_m, agent.epochs)
+
+    def gain_offsets_db(self) -> NDArray[np.float64]:
+        """Gains beyond what the link states, as an estimated plan tells them, shape (anchors,), dB."""
+        known = self.uncertainty
+        return np.array([0.0 if known is None else known.gain_offset_db(a.name) for a in self.anchors])
 
     @property
     def sweep_epochs(self) -> tuple[int, ...]:

@@ -32,6 +32,7 @@ from service.cli.missing_paths import STRICT_STATUS, Strict, tell_missing
 from service.cli.progress import Reporter
 from service.cli.scene import register as register_scenes
 from service.cli.service import register
+from service.cli.twin import register as register_twins
 
 if TYPE_CHECKING:
     from estimator.experiments.room import Room
@@ -245,6 +246,7 @@ register_datasets(app)
 register_experiments(app, _room)
 register_convert(app)
 register_bench(app)
+register_twins(app)
 
 
 def print_line(text: str) -> None:

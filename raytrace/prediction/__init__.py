@@ -1,0 +1,1 @@
+"""What a floor plan predicts of channels, and how good that is where they are known."""
