@@ -114,6 +114,9 @@ class Estimate:
         alone, the walls not found yet, each with its probability of existence.
     integrity : Integrity
         Whether all this may be relied on.
+    anchor_clock_m, anchor_height_m : ndarray, shape (K, 2), optional
+        Each anchor's clock bias as a path length, and how far it stands above or below the agent, with
+        standard deviations, metres; NaN where not located, None where the engine takes them as known.
     """
 
     agent_mean: Array
@@ -131,6 +134,8 @@ class Estimate:
     wall_existence: Array
     candidates: tuple[Candidate, ...]
     integrity: Integrity = Integrity()
+    anchor_clock_m: Array | None = None
+    anchor_height_m: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

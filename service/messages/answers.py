@@ -54,6 +54,12 @@ class AnchorState(Answer):
     position_m: Pair | None
     covariance_m2: Matrix | None
     existence: float = Field(description="Probability that it stands there.")
+    clock_bias_m: float | None = Field(
+        None, description="Clock bias as a path length, where the noise model has one."
+    )
+    clock_bias_std_m: float | None = None
+    height_m: float | None = Field(None, description="Above or below the agent, where it is estimated.")
+    height_std_m: float | None = None
 
 
 class WallState(Answer):

@@ -14,6 +14,7 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, Odometry
 from estimator.slam import Estimate
@@ -30,6 +31,7 @@ __all__ = [
     "sweep_text",
 ]
 
+Array = NDArray[np.float64]
 _COLUMNS = tuple(entry.name for entry in fields(AnchorPaths))
 
 
@@ -109,13 +111,17 @@ def estimate_document(
                 "position_m": place.tolist() if located else None,
                 "covariance_m2": covariance.tolist() if located else None,
                 "existence": float(existence),
+                **_measured("clock_bias", clock),
+                **_measured("height", height),
             }
-            for name, located, place, covariance, existence in zip(
+            for name, located, place, covariance, existence, clock, height in zip(
                 anchors,
                 estimate.anchor_valid,
                 estimate.anchor_mean_m,
                 estimate.anchor_covariance_m2,
                 estimate.anchor_existence,
+                _pairs(estimate.anchor_clock_m, len(anchors)),
+                _pairs(estimate.anchor_height_m, len(anchors)),
                 strict=True,
             )
         ],
@@ -139,6 +145,24 @@ def estimate_document(
         "log_evidence": float(estimate.log_evidence),
         "integrity": _integrity(estimate.integrity),
     }
+
+
+def _pairs(found: Array | None, count: int) -> Array | list[None]:
+    return [None] * count if found is None else found
+
+
+def _measured(name: str, pair: Array | None) -> dict[str, float | None]:
+    """A value in metres and its standard deviation: null where not known yet, nothing if not estimated."""
+    if pair is None:
+        return {}
+    return {f"{name}_m": _known(float(pair[0])), f"{name}_std_m": _known(float(pair[1]))}
+
+
+def _read_pairs(anchors: list[dict[str, Any]], name: str) -> Array | None:
+    if not anchors or f"{name}_m" not in anchors[0]:
+        return None
+    names = (f"{name}_m", f"{name}_std_m")
+    return np.array([[math.nan if a[n] is None else a[n] for n in names] for a in anchors], dtype=np.float64)
 
 
 def _integrity(integrity: Integrity) -> dict[str, Any]:
@@ -206,4 +230,6 @@ def read_estimate(document: dict[str, Any]) -> Estimate:
         wall_existence=np.array([wall["existence"] for wall in walls], dtype=np.float64),
         candidates=tuple(_read_candidate(entry) for entry in document["candidates"]),
         integrity=_read_integrity(document["integrity"]) if "integrity" in document else Integrity(),
+        anchor_clock_m=_read_pairs(anchors, "clock_bias"),
+        anchor_height_m=_read_pairs(anchors, "height"),
     )

@@ -55,7 +55,7 @@ function row(session) {
 
 async function route() {
   notice(null);
-  const match = location.hash.match(/^#\/s\/([0-9a-f]{32})(?:\/(hapslam-share_[0-9a-f]{12}_[\w-]{43}))?$/);
+  const match = location.hash.match(/^#\/s\/([0-9a-f]{32})(?:\/(hapslam-share_[0-9a-f]{12}_[\w-]{43}))?(?:\?with=([0-9a-f]{32}))?$/);
   if (match?.[2]) { // a link that was shared: its key goes where keys are, not into the history
     key.set(match[2]);
     history.replaceState(null, "", `#/s/${match[1]}`);
@@ -66,7 +66,7 @@ async function route() {
   try {
     if (match) {
       view ??= new SessionView(notice);
-      await view.open(match[1]);
+      await view.open(match[1], match[3]);
     } else {
       view?.close();
       await showList();

@@ -38,20 +38,42 @@ function fields(schema) {
   return list;
 }
 
+// A field for a value of a schema: a choice, a number within its limits, or text.
+function field({ name, required, schema }) {
+  const options = schema.enum ?? schema.anyOf?.find((each) => each.enum)?.enum ?? (schema.type === "boolean" ? [true, false] : null);
+  const plain = schema.anyOf?.find((each) => each.type !== "null") ?? schema;
+  const input = made(options ? "select" : "input");
+  if (options) input.append(...["", ...options].map((value) => new Option(value, value)));
+  else if (["integer", "number"].includes(plain.type)) {
+    Object.assign(input, { type: "number", step: plain.type === "integer" ? 1 : "any", min: plain.minimum ?? "", max: plain.maximum ?? "" });
+  }
+  input.name = name;
+  input.required = Boolean(required);
+  return input;
+}
+
 // A form that asks the route, with the key of the page.
-function trial(path, parameters) {
+function trial({ path, method }, parameters, example) {
   const form = made("form", undefined, "try"), answer = made("pre");
   for (const parameter of parameters) {
-    const label = made("label", `${parameter.name} `), input = made("input");
-    input.name = parameter.name;
-    input.required = Boolean(parameter.required);
-    label.append(input);
+    const label = made("label", `${parameter.name} `);
+    label.append(field(parameter));
+    form.append(label);
+  }
+  const body = example === undefined ? null : made("textarea", example);
+  if (body) {
+    const label = made("label", "Body ", "body");
+    body.rows = Math.min(example.split("\n").length + 1, 16);
+    label.append(body);
     form.append(label);
   }
   form.append(made("button", "Try"));
   answer.hidden = true;
+  answer.tabIndex = 0;
+  answer.setAttribute("role", "status");
   form.onsubmit = async (event) => {
     event.preventDefault();
+    if (method === "delete" && !confirm(`Delete ${path}?`)) return;
     let place = path;
     const query = new URLSearchParams();
     for (const parameter of parameters) {
@@ -60,7 +82,9 @@ function trial(path, parameters) {
       else if (value) query.set(parameter.name, value);
     }
     const key = sessionStorage.getItem("hapslam-key");
-    const reply = await fetch(`${place}${query.size ? `?${query}` : ""}`, key ? { headers: { Authorization: `Bearer ${key}` } } : {});
+    const headers = { ...(key && { Authorization: `Bearer ${key}` }), ...(body && { "Content-Type": "application/json" }) };
+    const asked = { method: method.toUpperCase(), headers, ...(body && { body: body.value }) };
+    const reply = await fetch(`${place}${query.size ? `?${query}` : ""}`, asked);
     const text = await reply.text();
     answer.hidden = false;
     answer.textContent = `${reply.status}\n${text.slice(0, 5000)}`;
@@ -93,7 +117,9 @@ for (const [group, routes] of groups) {
       details.append(made("p", `${parameter.name} (${where}; ${typed(parameter.schema)}): ${parameter.description ?? ""}`));
     }
     const body = resolved(route.requestBody?.content?.["application/json"]?.schema);
-    for (const example of body?.examples ?? []) details.append(made("pre", JSON.stringify(example, null, 2)));
+    const examples = (body?.examples ?? []).map((example) => JSON.stringify(example, null, 2));
+    for (const example of examples) details.append(made("pre", example));
+    for (const shown of details.querySelectorAll("pre")) shown.tabIndex = 0;
     if (body) details.append(made("p", "Body:"), fields(body));
     const good = Object.entries(route.responses).find(([status]) => status.startsWith("2"))?.[1];
     const given = good?.content?.["application/json"]?.schema;
@@ -101,7 +127,8 @@ for (const [group, routes] of groups) {
     const answers = Object.entries(route.responses).map(([status, answer]) => `${status} ${answer.description}`);
     details.append(made("p", `Answers: ${answers.join("; ")}.`));
     const asked = (route.parameters ?? []).filter((parameter) => parameter.in !== "header");
-    if (route.method === "get" && !path_streams(route.path)) details.append(trial(route.path, asked));
+    const json = !route.requestBody || body;
+    if (json && !path_streams(route.path)) details.append(trial(route, asked, body ? examples[0] ?? "{}" : undefined));
     section.append(details);
   }
   document.getElementById("routes").append(section);

@@ -111,11 +111,12 @@ export class MapView {
   }
 
   extent() {
-    const { state, track, truth, place } = this.scene;
+    const { state, track, truth, place, other } = this.scene;
     const points = this.sampled(track).map(place);
     for (const anchor of state?.anchors ?? []) if (anchor.located) points.push(place(anchor.position_m));
     for (const wall of this.walls()) points.push(...wall.ends);
     for (const wall of truth?.walls ?? []) points.push(wall.from_m, wall.to_m);
+    if (other) points.push(...this.sampled(other.walked).map(other.place));
     return points;
   }
 
@@ -191,6 +192,7 @@ export class MapView {
     c.lineJoin = c.lineCap = "round";
     this.grid();
     if (this.scene.showTruth && this.scene.truth) this.truth(this.scene.truth);
+    this.scene.other?.draw(this);
     if (!this.scene.state) return;
     if (this.scene.showCandidates) this.candidates();
     this.estimates();
@@ -227,12 +229,12 @@ export class MapView {
     c.stroke();
   }
 
-  // The track from an epoch on in pixels, without what lies on one and the same of them.
-  thinned(track, first) {
+  // A track from an epoch on in pixels, without what lies on one and the same of them.
+  thinned(track, first, place = this.scene.place) {
     const kept = [];
     let last = [Infinity, Infinity];
     for (let i = first; i < track.length; i++) {
-      const at = this.toPixels(this.scene.place(track[i]));
+      const at = this.toPixels(place(track[i]));
       if (i < track.length - 1 && Math.abs(at[0] - last[0]) < 0.7 && Math.abs(at[1] - last[1]) < 0.7) continue;
       kept.push(at);
       last = at;
@@ -340,16 +342,31 @@ export class MapView {
       c.font = "12px system-ui, sans-serif";
       c.fillText(anchor.name, at[0], at[1] - 12);
     }
-    const cov = state.agent.covariance;
+    const cov = state.agent.covariance, lost = state.integrity?.state === "lost";
     const at = this.toPixels(place(state.agent.position_m));
     this.ellipse(at, [[cov[0][0], cov[0][1]], [cov[1][0], cov[1][1]]], agentColour);
-    c.fillStyle = agentColour;
+    this.protection(at, state.integrity, lost ? anchorColour : agentColour);
+    c.fillStyle = lost ? anchorColour : agentColour;
     c.strokeStyle = this.colour("ground");
     c.lineWidth = 2;
     c.beginPath();
     c.arc(at[0], at[1], 6, 0, 2 * Math.PI);
     c.fill();
     c.stroke();
+    if (lost) this.path([[at[0] - 3, at[1] - 3], [at[0] + 3, at[1] + 3]]), this.path([[at[0] + 3, at[1] - 3], [at[0] - 3, at[1] + 3]]);
+  }
+
+  // The circle that the agent is within with 99.9 % probability, where the engine tells.
+  protection([u, v], integrity, colour) {
+    const radius = this.zoom * (integrity?.protection_level_m ?? 0), { context: c } = this;
+    if (radius < 8 || radius > 1e5) return;
+    c.strokeStyle = colour;
+    c.lineWidth = integrity.state === "ok" ? 1 : 2;
+    c.setLineDash([6, 4]);
+    c.beginPath();
+    c.arc(u, v, radius, 0, 2 * Math.PI);
+    c.stroke();
+    c.setLineDash([]);
   }
 
   ellipse([u, v], covariance, colour) {
@@ -363,13 +380,14 @@ export class MapView {
     c.globalAlpha = 1;
   }
 
-  triangle([u, v], size) {
+  triangle([u, v], size, hollow = false) {
     const { context: c } = this;
     c.beginPath();
     c.moveTo(u, v - size);
     c.lineTo(u + 0.87 * size, v + 0.5 * size);
     c.lineTo(u - 0.87 * size, v + 0.5 * size);
     c.closePath();
-    c.fill();
+    if (hollow) c.stroke();
+    else c.fill();
   }
 }

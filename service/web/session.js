@@ -1,6 +1,7 @@
 // One session: its live map, the replay, the plots.
 
 import { download, events, get } from "./api.js";
+import { Other } from "./compare.js";
 import { frame, norm } from "./geometry.js";
 import { MapView } from "./map.js";
 import { Plot } from "./plots.js";
@@ -17,7 +18,7 @@ export class SessionView {
     const pick = (epoch) => this.seek(epoch);
     this.plots = {
       position: new Plot($("plot-position"), "Position, m", [
-        { label: "claimed std", colour: "agent" }, { label: "error", colour: "anchor" },
+        { label: "claimed std", colour: "agent" }, { label: "error", colour: "anchor" }, { label: "apart", colour: "other" },
       ], pick),
       rotation: new Plot($("plot-rotation"), "Rotation of the map, mrad", [{ label: "claimed std", colour: "wall" }], pick),
       counts: new Plot($("plot-counts"), "Walls and hypotheses", [
@@ -42,6 +43,12 @@ export class SessionView {
         if (row) this.select({ [kind]: kind === "wall" ? +row.dataset.name : row.dataset.name });
       };
     }
+    $("other").onfocus = () => this.offerOthers().catch(this.notice);
+    $("other").onchange = () => {
+      const chosen = $("other").value;
+      history.replaceState(null, "", `#/s/${this.session.id}${chosen ? `?with=${chosen}` : ""}`);
+      this.compare(chosen).catch(this.notice);
+    };
     this.beat = setInterval(() => this.tellLink(), 1000);
   }
 
@@ -84,8 +91,39 @@ export class SessionView {
     $("link").textContent = words[state];
   }
 
-  async open(id) {
+  // The sessions that this one may be compared with.
+  async offerOthers() {
+    const chosen = $("other").value, page = await get("/v1/sessions?limit=100");
+    const others = page.sessions.filter(({ id }) => id !== this.session.id);
+    $("other").replaceChildren(new Option("nothing", ""), ...others.map(({ id, name }) => new Option(name || id.slice(0, 8), id)));
+    if (chosen && !others.some(({ id }) => id === chosen)) $("other").append(new Option(this.other?.name ?? chosen.slice(0, 8), chosen));
+    $("other").value = chosen;
+  }
+
+  // Shows another session beside this one, or none.
+  async compare(id) {
+    const other = id ? await Other.open(id, this.session) : null;
+    this.other = other;
+    $("other-legend").hidden = !other;
+    $("other-legend").textContent = other ? `${other.name}, thin and hollow` : "";
+    if (other && $("other").value !== id) {
+      $("other").append(new Option(other.name, id));
+      $("other").value = id;
+    }
+    await this.seekOther();
+    this.changed();
+  }
+
+  async seekOther() {
+    const time_s = this.columns.time_s[this.epoch];
+    if (this.other && time_s !== undefined) await this.other.seek(time_s);
+  }
+
+  async open(id, beside) {
     this.close();
+    this.other = null;
+    $("other").value = "";
+    $("other-legend").hidden = true;
     this.stop = new AbortController();
     this.path = `/v1/sessions/${id}`;
     const [session, truth, trajectory] = await Promise.all([
@@ -111,6 +149,7 @@ export class SessionView {
     this.links(id);
     if (this.count) await this.load(this.epoch);
     this.changed();
+    this.offerOthers().then(() => beside && this.compare(beside)).catch(this.notice);
     this.follow(this.stop.signal);
   }
 
@@ -180,6 +219,7 @@ export class SessionView {
     if (this.live) {
       this.epoch = state.epoch;
       this.state = state;
+      this.seekOther().then(() => this.other && this.changed(), this.notice);
     }
     this.changed();
   }
@@ -201,7 +241,7 @@ export class SessionView {
     this.live = live;
     this.epoch = Math.min(Math.max(epoch, 0), this.count - 1);
     this.draw();
-    await this.load(this.epoch).catch(this.notice);
+    await Promise.all([this.load(this.epoch), this.seekOther()]).catch(this.notice);
     this.draw();
   }
 
@@ -244,7 +284,7 @@ export class SessionView {
     $("when").textContent = at === undefined ? "" : `${at.toFixed(1)} s`;
     const track = this.walked.slice(0, this.epoch + 1);
     this.map.show({
-      state: this.state, track, selected: this.selected, place: this.frame.place, heading: this.frame.heading, truth: this.truth,
+      state: this.state, track, selected: this.selected, place: this.frame.place, heading: this.frame.heading, truth: this.truth, other: this.other,
       showTruth: $("truth").checked, showCandidates: $("candidates").checked, enlarge: +$("enlarge").value,
     });
     this.facts();
@@ -265,6 +305,11 @@ export class SessionView {
       rows.push(["± std", `${Math.sqrt(cov[0][0] + cov[1][1]).toFixed(3)} m`]);
       const error = this.error(state.epoch);
       if (error != null) rows.push(["Error", `${error.toFixed(3)} m`]);
+      const apart = this.apart(this.epoch);
+      if (apart != null) rows.push([`From ${this.other.name}`, `${apart.toFixed(3)} m`]);
+      const { integrity } = state;
+      if (integrity?.protection_level_m != null) rows.push(["99.9 % within", `${integrity.protection_level_m.toFixed(2)} m`]);
+      if (integrity && integrity.state !== "unknown") rows.push(["Integrity", integrity.state]);
       rows.push(["Rotation ±", `${(1e3 * state.rotation_std_rad).toFixed(2)} mrad`]);
       rows.push(["Anchors", `${state.anchors.filter((a) => a.located).length} of ${state.anchors.length} located`]);
       rows.push(["Hypotheses", state.candidates.length > 1
@@ -272,11 +317,7 @@ export class SessionView {
     }
     $("facts").replaceChildren(...rows.flatMap(([name, value]) => [text("dt", name), text("dd", value)]));
     this.tellIntegrity(state?.integrity);
-    $("anchors").tBodies[0].replaceChildren(...(state?.anchors ?? []).map((anchor) => {
-      const place = anchor.located ? this.frame.place(anchor.position_m).map((v) => v.toFixed(2)).join(", ") : "not located";
-      return tableRow(anchor.name, this.selected?.anchor === anchor.name,
-        [anchor.name, place, anchor.located ? spread(anchor.covariance_m2) : "–", percent(anchor.existence)]);
-    }));
+    this.anchorTable(state?.anchors ?? []);
     $("walls").tBodies[0].replaceChildren(...(state?.walls ?? []).map((wall) => {
       const c = wall.covariance_m2;
       const bearing = (180 / Math.PI) * (Math.atan2(wall.vrp_m[1], wall.vrp_m[0]) + this.frame.heading);
@@ -285,15 +326,38 @@ export class SessionView {
     }));
   }
 
+  // Anchors with what is known of each; clocks and heights where the engine estimates them.
+  anchorTable(anchors) {
+    const more = [["clock_bias", "Clock, m"], ["height", "Height, m"]].filter(([name]) => anchors.some((anchor) => `${name}_m` in anchor));
+    const heads = ["Name", "Place, m", "± m", "Exists", ...more.map(([, head]) => head)];
+    $("anchors").tHead.rows[0].replaceChildren(...heads.map((head) => text("th", head)));
+    $("anchors").tBodies[0].replaceChildren(...anchors.map((anchor) => {
+      const place = anchor.located ? this.frame.place(anchor.position_m).map((v) => v.toFixed(2)).join(", ") : "not located";
+      const known = more.map(([name]) => anchor[`${name}_m`] == null ? "–" : `${anchor[`${name}_m`].toFixed(2)} ± ${anchor[`${name}_std_m`].toFixed(2)}`);
+      return tableRow(anchor.name, this.selected?.anchor === anchor.name,
+        [anchor.name, place, anchor.located ? spread(anchor.covariance_m2) : "–", percent(anchor.existence), ...known]);
+    }));
+  }
+
   // Where the engine doubts itself, that stands above the map.
   tellIntegrity(integrity) {
     const doubted = integrity && ["doubtful", "lost"].includes(integrity.state);
+    const name = this.session?.name || this.session?.id.slice(0, 8);
+    if (name) document.title = `${doubted ? `${integrity.state.toUpperCase()}: ` : ""}${name} · hapslam`;
     $("integrity").hidden = !doubted;
     if (!doubted) return;
     $("integrity").dataset.state = integrity.state;
     const what = integrity.state === "lost" ? "Lost: do not rely on this position" : "Doubtful";
     const reasons = integrity.reasons.length ? `: ${integrity.reasons.join("; ")}` : "";
     $("integrity").textContent = what + reasons;
+  }
+
+  // How far from the other session's agent at the same time; null without one.
+  apart(i) {
+    const at = this.other?.where(this.columns.time_s[i]);
+    if (!at) return null;
+    const own = this.frame.place(this.walked[i]);
+    return Math.hypot(own[0] - at[0], own[1] - at[1]);
   }
 
   error(i) {
@@ -303,7 +367,7 @@ export class SessionView {
 
   drawPlots() {
     const c = this.columns, each = (f) => c.time_s.map((_, i) => f(i));
-    this.plots.position.show([c.time_s, each((i) => Math.sqrt(c.variance_x_m2[i] + c.variance_y_m2[i])), each((i) => this.error(i))]);
+    this.plots.position.show([c.time_s, each((i) => Math.sqrt(c.variance_x_m2[i] + c.variance_y_m2[i])), each((i) => this.error(i)), each((i) => this.apart(i))]);
     this.plots.rotation.show([c.time_s, each((i) => 1e3 * c.rotation_std_rad[i])]);
     this.plots.counts.show([c.time_s, c.walls, c.hypotheses]);
     this.mark();

@@ -84,7 +84,30 @@ def estimate(state: GaussianState, config: GaussianConfig) -> Estimate:
         np.array([wall.existence for wall in walls], dtype=np.float64),
         candidates(state),
         judged(state.indicators, agent[1][:2, :2], config.integrity),
+        *_clocks_and_heights(state, weight, valid, config),
     )
+
+
+def _clocks_and_heights(
+    state: GaussianState, weight: Array, valid: NDArray[np.bool_], config: GaussianConfig
+) -> tuple[Array | None, Array | None]:
+    """Clock biases and heights of located anchors with standard deviations, where they are estimated."""
+    clocks = config.clocks.clock_bias_std_m > 0.0 or config.clocks.clock_free_std_m > 0.0
+    heights = config.noise.height2_std_m2 > 0.0
+    if not clocks and not heights:
+        return None, None
+    layout, hypotheses = state.layout, state.hypotheses
+    clock, height = np.full((2, layout.anchors, 2), np.nan)
+    for k in np.flatnonzero(valid).tolist():
+        know = np.flatnonzero(hypotheses.located[:, k])
+        at = np.array([layout.height2(k), layout.bias(k)])
+        share = weight[know] / weight[know].sum()
+        covariances = hypotheses.covariance[np.ix_(know, at, at)]
+        (height2, bias), spread = moments(share, hypotheses.mean[np.ix_(know, at)], covariances)
+        std = np.sqrt(np.diag(spread))
+        clock[k] = bias, std[1]
+        height[k] = np.sqrt(max(height2, 0.0)), std[0] / (2.0 * np.sqrt(max(height2, std[0], 1e-12)))
+    return clock if clocks else None, height if heights else None
 
 
 def _turned(

@@ -69,6 +69,7 @@ def test_a_generated_client_drives_a_session(
             first = patient.create_session(make_request())
             patient.post_sweep(first, sweep_request())
             patient.post_epochs(first, epochs_request(0, 1)["epochs"])
+            patient.map(first)
         made = part("api.sessions.create_session").sync(
             client=client, body=models.SessionRequest.from_dict(make_request())
         )

@@ -76,7 +76,8 @@ def test_epochs_survive_log_and_request() -> None:
 
 def test_estimates_survive_their_document(walk: MeasurementSet) -> None:
     """What the service shows of an estimate is all of it; unknown anchors are null, not NaN."""
-    engine = engine_for("hybrid", "gaussian", config_for(walk))
+    config = config_for(walk).but(clock_bias_std_m=0.5, height2_std_m2=1.0)
+    engine = engine_for("hybrid", "gaussian", config)
     state = engine.start(Prior.of(walk), epoch_rng(0, -1))
     for epoch in (None, *walk.epochs[:12]):
         if epoch is not None:
@@ -94,3 +95,5 @@ def test_estimates_survive_their_document(walk: MeasurementSet) -> None:
         told = estimate.integrity, again.integrity
         assert told[0].state == told[1].state
         assert told[0].reasons == told[1].reasons
+    assert 0.0 < document["anchors"][0]["clock_bias_std_m"] <= 0.5
+    assert document["anchors"][0]["height_std_m"] > 0.0

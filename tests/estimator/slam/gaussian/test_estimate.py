@@ -95,3 +95,22 @@ def test_candidates_are_the_hypotheses_by_weight():
     assert len(candidates(state, most=1)) == 1
     turn = state.bearing_rad + 0.05
     np.testing.assert_allclose(found[1].agent_m, rotate(state.hypotheses.mean[1, :2], turn), atol=1e-12)
+
+
+def test_clocks_and_heights_are_those_of_the_hypotheses_that_have_the_anchor():
+    """Given where they are estimated; a height has no sign, and its deviation no pole at nothing."""
+    state, config = mixed(), CONFIG.but(clock_bias_std_m=0.5, height2_std_m2=1.0)
+    one, layout = state.hypotheses, state.layout
+    one.mean[:, layout.height2(0)], one.mean[:, layout.bias(0)] = (4.0, 400.0), (0.3, 7.0)
+    one.covariance[:, layout.height2(0), layout.height2(0)] = 0.16
+    one.covariance[:, layout.bias(0), layout.bias(0)] = 0.01
+    found = estimate(state, config)
+    assert np.allclose(found.anchor_clock_m, [[0.3, 0.1]])
+    assert np.allclose(found.anchor_height_m, [[2.0, 0.4 / (2.0 * 2.0)]])
+    one.mean[0, layout.height2(0)] = -0.1
+    ((height, std),) = estimate(state, config).anchor_height_m
+    assert height == 0.0
+    assert 0.0 < std < 1.0
+    plain = estimate(state, CONFIG.but(height2_std_m2=0.0))
+    assert plain.anchor_clock_m is None
+    assert plain.anchor_height_m is None
