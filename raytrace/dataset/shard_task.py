@@ -31,12 +31,14 @@ from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.engine import Scene, scene_of, specular_paths, traced
 from raytrace.propagation.passive import trace_bent
 from raytrace.propagation.paths import DIFFRACTION, REFRACTION, PathList, PathSet
+from raytrace.propagation.shadowing import shadowed
 from raytrace.radio.channel import add_noise
 from raytrace.radio.echo import EchoSweep, sweep_echo
 from raytrace.radio.impairments import jitter, miscalibrate
 from raytrace.radio.leakage import leakage_response
 from raytrace.radio.reception import receive
 from raytrace.radio.scattering import diffuse_response
+from raytrace.radio.targets import target_paths
 
 __all__ = ["STAGES", "MadeShard", "Progress", "ShardTask", "Stages", "make_shard"]
 
@@ -174,8 +176,14 @@ def make_shard(task: ShardTask, folder: Path, stages: Stages | None = None) -> M
                     PathList.concatenate([paths.flat(), bent]), len(positions), len(plan.anchors)
                 )
                 others = _counts(bent)
+            if plan.has_bodies:
+                weaker = shadowed(plan, paths.flat(), positions, plan.times_s()[task.epochs])
+                paths = PathSet.build(weaker, len(positions), len(plan.anchors))
         with stages("channels"):
             response = receive(plan, paths, task.epochs)
+            if plan.has_bodies:
+                scattered, shift_hz = target_paths(plan, task.epochs)
+                response = response + receive(plan, scattered, task.epochs, shift_hz)
             diffuse_paths = 0
             if plan.scatters:
                 diffuse, diffuse_paths = diffuse_response(plan, traced(radio), task.epochs)

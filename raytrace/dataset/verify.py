@@ -45,13 +45,13 @@ def verify(dataset: Dataset, progress: Progress | None = None) -> Comparison:
     for kind in ("passive", "echo"):
         for _ in dataset.shards(kind):
             pass
-    track, done, result = plan.track(), 0, Comparison()
+    track, times, done, result = plan.track(), plan.times_s(), 0, Comparison()
     for shard in dataset.shards("paths"):
         epochs = shard["epoch"].values
         if not np.array_equal(epochs, np.arange(done, done + len(epochs))):
             raise FileFormatError(f"{dataset.path}: expected paths from epoch {done} on, got {epochs[:1]}")
         paths = stored_paths(shard, plan.heading_rad).flat()
-        result = result + compare(plan, track[epochs], paths.select(paths.is_specular), done)
+        result = result + compare(plan, track[epochs], paths.select(paths.is_specular), done, times[epochs])
         done += len(epochs)
         if progress is not None:
             progress(done, len(track), "comparing paths")

@@ -278,7 +278,9 @@ def _draw_stations(axes: Axes, plan: FloorPlan, track: bool = True) -> None:
             axes.plot(*points.T, linewidth=1.4, linestyle="--", label=f"track of {name}", zorder=4)
             axes.plot(*points[0], marker="o", color=COLOURS["agent"], markerfacecolor="white", zorder=5)
     if plan.targets:
-        x, y = np.array([target.position_m[:2] for target in plan.targets]).T
+        for target in plan.targets:
+            axes.plot(*target.motion(plan.times_s()).place_m[:, :2].T, ":", color=COLOURS["muted"], zorder=4)
+        x, y = np.array([target.motion(np.zeros(1)).place_m[0, :2] for target in plan.targets]).T
         axes.plot(x, y, "s", color=COLOURS["muted"], markersize=5.0, label="target", zorder=5)
     for row, anchor in enumerate(plan.anchors):
         x, y, _ = anchor.position_m

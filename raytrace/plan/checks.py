@@ -19,6 +19,7 @@ from raytrace.plan.materials import ITU_MATERIALS
 
 if TYPE_CHECKING:
     from raytrace.plan.floorplan import FloorPlan
+    from raytrace.plan.targets import Target
 
 __all__ = ["check_plan"]
 
@@ -183,12 +184,46 @@ def _check_agent(plan: FloorPlan, lines: shapely.STRtree) -> None:
 
 
 def _check_targets(plan: FloorPlan, lines: shapely.STRtree) -> None:
-    track = plan.track()
+    """Whether targets are off the walls, their tracks cross none, and nobody walks into them."""
+    track, times = plan.track(), plan.times_s()
     for index, target in enumerate(plan.targets):
-        field = f"targets[{index}] ({target.name}).position_m"
-        _check_place(plan, lines, field, target.position_m)
-        gap = float(np.linalg.norm(track - np.array(target.position_m), axis=1).min())
-        if gap < _NEAR_FIELD_M:
-            raise PlanFault(
-                f"{field}: expected at least {_NEAR_FIELD_M:g} m to the agent's track, got {gap:.3g} m"
-            )
+        field = f"targets[{index}] ({target.name})"
+        if target.position_m is not None:
+            field = f"{field}.position_m"
+            _check_place(plan, lines, field, target.position_m)
+        else:
+            field = f"{field}.waypoints_m"
+            _check_way(plan, lines, field, target)
+        places = target.motion(times).place_m
+        if target.body_m is None:
+            gap = float(np.linalg.norm(track - places, axis=1).min())
+            room = _NEAR_FIELD_M
+        else:
+            length, width, height = target.body_m
+            gap = float(np.linalg.norm((track - places)[:, :2], axis=1).min())
+            room = _NEAR_FIELD_M + 0.5 * float(np.hypot(length, width))
+            for anchor in plan.anchors:
+                apart = float(np.linalg.norm(places[:, :2] - anchor.position_m[:2], axis=1).min())
+                if anchor.position_m[2] < height and apart < room:
+                    who = f"anchor {anchor.name!r}"
+                    raise PlanFault(f"{field}: expected at least {room:.3g} m to {who}, got {apart:.3g} m")
+        if gap < room:
+            raise PlanFault(f"{field}: expected at least {room:.3g} m to the agent's track, got {gap:.3g} m")
+
+
+def _check_way(plan: FloorPlan, lines: shapely.STRtree, field: str, target: Target) -> None:
+    """Whether the way of a target is below the ceiling and crosses no wall."""
+    top = target.height_m if target.body_m is None else target.body_m[2]
+    if top >= plan.ceiling_height_m:
+        raise PlanFault(
+            f"{field}: expected less than the ceiling's {plan.ceiling_height_m:g} m, got {top:g} m"
+        )
+    points = target.waypoints_m
+    for index, gap in _struck(
+        plan, lines, shapely.LineString(points) if points[1:] else shapely.Point(points)
+    ):
+        wall = plan.walls[index]
+        raise PlanFault(
+            f"{field}: expected a way that stays more than {0.5 * wall.thickness_m:g} m from every wall's "
+            f"centre line, got {gap:.3g} m from wall {wall.name!r}"
+        )

@@ -1,4 +1,4 @@
-"""Who sends, who listens and who stands about: anchors, agent and targets of a plan."""
+"""Who sends and who listens: anchors and agents of a plan."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from raytrace.plan.links import Count, Finite, NonNegative, Part, Positive, added
 
-__all__ = ["Agent", "Anchor", "Clock", "FurtherAgent", "MeasuredMotion", "Name", "Point2", "Point3", "Target"]
+__all__ = ["Agent", "Anchor", "Clock", "FurtherAgent", "MeasuredMotion", "Name", "Point2", "Point3"]
 
 Point2 = Annotated[tuple[Finite, Finite], Field(strict=False)]
 Point3 = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]
@@ -97,29 +97,3 @@ class FurtherAgent(Agent):
     """Another agent in the same rooms, with the radio and echo of the first; its dataset has its name."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
-
-
-class Target(Part):
-    """A thing that echoes like a point: furniture, a person.
-
-    Its radar cross section is either ``rcs_m2`` in square metres or ``rcs_dbsm`` in decibels
-    over one. Targets are heard in the echo; they neither hide anything nor scatter what
-    anchors send.
-    """
-
-    name: Name
-    position_m: Point3
-    rcs_m2: Positive | None = None
-    rcs_dbsm: Finite | None = None
-
-    @model_validator(mode="after")
-    def _has_one_section(self) -> Target:
-        if (self.rcs_m2 is None) == (self.rcs_dbsm is None):
-            came = "neither" if self.rcs_m2 is None else "both"
-            raise ValueError(f"expected either rcs_m2 or rcs_dbsm, got {came}")
-        return self
-
-    @property
-    def section_m2(self) -> float:
-        """Radar cross section, square metres."""
-        return self.rcs_m2 if self.rcs_m2 is not None else float(10.0 ** ((self.rcs_dbsm or 0.0) / 10.0))

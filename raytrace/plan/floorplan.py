@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, model_validator
 
-from raytrace.plan.devices import Agent, Anchor, FurtherAgent, Name, Point2, Target
+from raytrace.plan.devices import Agent, Anchor, FurtherAgent, Name, Point2
 from raytrace.plan.links import Echo, Part, Radio, added
 from raytrace.plan.materials import permittivity, relative_permittivity
 from raytrace.plan.sound_walls import Repairs
 from raytrace.plan.surfaces import Fraction, Material, ScatteringPattern, Slab, Wall
+from raytrace.plan.targets import Target
 from raytrace.plan.trajectory import smoothed_track, travel_azimuths
 from raytrace.plan.uncertainty import Uncertainty
 
@@ -162,6 +163,11 @@ class FloorPlan(Part):
         ends = self.radio.anchor_array, self.radio.agent_array
         plain = all(end.pattern == "iso" and end.polarization == "V" for end in ends)
         return not plain or any(anchor.downtilt_deg for anchor in self.anchors)
+
+    @property
+    def has_bodies(self) -> bool:
+        """Whether any target has a size: shadows, and scatters what anchors send."""
+        return any(target.body_m is not None for target in self.targets)
 
     def by_agent(self) -> dict[str, FloorPlan]:
         """A plan of one agent for each agent, by its name; the first is called ``agent``."""

@@ -170,7 +170,8 @@ class Echo(_Signal):
     ``gain_error_db`` and ``phase_error_deg`` are the standard deviations of each beam's
     two-way calibration error, ``range_error_m`` that of the front end's delay.
 
-    The beams sweep at ``sweep_epochs`` or, with ``sweep_every = K``, at epochs 0, K, 2 K, ... With
+    The beams sweep at ``sweep_epochs`` or, with ``sweep_every = K``, at epochs 0, K, 2 K, ... One beam
+    follows the other after ``beam_interval_s``, in which returns turn by their Doppler shifts. With
     ``isolation_db`` the transmitter leaks into the receiver, ``leakage_delay_s`` later and with
     ``leakage_phase_noise_deg``: see :mod:`raytrace.radio.leakage`.
     """
@@ -190,6 +191,7 @@ class Echo(_Signal):
     beams: Beams = Beams()
     sweep_epochs: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1, strict=False)] = (0,)
     sweep_every: Count | None = added(None)
+    beam_interval_s: Annotated[float, Field(ge=0.0, le=1.0)] = added(0.0)
     isolation_db: Finite | None = added(None)
     leakage_delay_s: NonNegative = added(0.5e-9)
     leakage_phase_noise_deg: Annotated[float, Field(ge=0.0, le=30.0)] = added(1.0)

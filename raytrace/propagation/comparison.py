@@ -18,6 +18,7 @@ from raytrace.propagation.directions import directions_of
 from raytrace.propagation.images import image_paths
 from raytrace.propagation.passive import LEG_M, RIM_M
 from raytrace.propagation.paths import NO_SURFACE, PathList
+from raytrace.propagation.shadowing import shadowed
 
 __all__ = ["Comparison", "compare"]
 
@@ -75,7 +76,13 @@ class Comparison:
         return Comparison(**{**summed, **worst, "named": summed["named"][:_MOST_NAMED]})
 
 
-def compare(plan: FloorPlan, positions_m: NDArray[np.float64], paths: PathList, first: int = 0) -> Comparison:
+def compare(
+    plan: FloorPlan,
+    positions_m: NDArray[np.float64],
+    paths: PathList,
+    first: int = 0,
+    times_s: NDArray[np.float64] | None = None,
+) -> Comparison:
     """Look for every path among those of the image method, and the other way round.
 
     Parameters
@@ -88,11 +95,16 @@ def compare(plan: FloorPlan, positions_m: NDArray[np.float64], paths: PathList, 
         What was traced from the plan's anchors; ``epoch`` counts the positions.
     first : int
         Added to the epochs of named paths.
+    times_s : ndarray, shape (n,), optional
+        Time at each position since the first epoch, seconds, if the paths are those that the plan's
+        bodies left; by default of none.
     """
     owed = image_paths(plan, positions_m, rim_m=RIM_M, leg_m=LEG_M).flat()
     others = paths.walls[~np.isin(_keys(plan, paths), _keys(plan, owed))]
     spare = image_paths(plan, positions_m, rim_m=-RIM_M, among=others).flat()
     every = PathList.concatenate([owed, spare])
+    if times_s is not None:
+        every = shadowed(plan, every, positions_m, times_s)
     keys = {name: _keys(plan, some) for name, some in (("all", every), ("owed", owed), ("got", paths))}
     lost = owed.select(~np.isin(keys["owed"], keys["got"]))
     _, once = np.unique(keys["got"], return_index=True)

@@ -3,9 +3,10 @@
 Two models, chosen by the plan. ``physical``: the path solver's specular returns (the
 flash off a wall at normal incidence, and returns over corners), plus diffuse ones where
 materials scatter. ``radar-equation``: the paper's (7) on traced hits. In both, the
-plan's point targets return what the radar equation gives them. Transmitter
-and receiver stand a few centimetres apart, one above the other, so that no
-direction in the horizontal plane is preferred.
+plan's targets return what the radar equation gives them, and bodies shadow flashes in the first.
+Transmitter and receiver stand a few centimetres apart, one above the other, so that no
+direction in the horizontal plane is preferred. Beams follow one another after
+``echo.beam_interval_s``, in which every return turns by its Doppler shift.
 """
 
 from __future__ import annotations
@@ -15,10 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
+from raytrace.propagation.directions import directions_of
 from raytrace.propagation.engine import Scene, scene_of, specular_paths, traced
 from raytrace.propagation.passive import TraceReport
 from raytrace.propagation.paths import PathList
+from raytrace.propagation.shadowing import shadowed
 from raytrace.propagation.solver import solve
 from raytrace.radio.channel import superpose
 from raytrace.radio.radar_equation import radar_sweep
@@ -87,10 +91,10 @@ def sweep_echo(
     epochs = plan.sweep_epochs if epochs is None else epochs
     places = plan.track()[list(epochs)]
     if plan.echo.model == "radar-equation":
-        headings = plan.headings_rad()[list(epochs)]
-        responses = [
-            radar_sweep(plan, radio, place, heading) for place, heading in zip(places, headings, strict=True)
-        ]
+        facts = zip(
+            places, plan.headings_rad()[list(epochs)], plan.velocities_m_s()[list(epochs)], strict=True
+        )
+        responses = [radar_sweep(plan, radio, *fact) for fact in facts]
         sweep = EchoSweep(epochs, np.stack(responses), 0, 0, None)
     else:
         sweep = _physical(plan, radio, epochs, places)
@@ -101,7 +105,7 @@ def _physical(
     plan: FloorPlan, radio: Scene, epochs: tuple[int, ...], places: NDArray[np.float64]
 ) -> EchoSweep:
     responses, reports, specular, diffuse = [], [], 0, 0
-    for place, heading in zip(places, plan.headings_rad()[list(epochs)], strict=True):
+    for epoch, place in zip(epochs, places, strict=True):
         sender, receiver = _ends(plan, place)
         paths, report = specular_paths(plan, radio, sender[None], receiver[None], plan.echo.depth)
         returns = paths.flat()
@@ -121,7 +125,10 @@ def _physical(
             )
             diffuse += len(scattered)
             returns = PathList.concatenate([returns, scattered])
-        responses.append(_beams(plan, returns.canonical(), heading))
+        returns = shadowed(
+            plan, returns, receiver[None], plan.times_s()[[epoch]], sender[None], plan.echo.carrier_hz
+        ).canonical()
+        responses.append(_beams(plan, returns, epoch, _doppler_hz(plan, returns, epoch)))
     total = TraceReport(
         *(sum(values) for values in zip(*(r.as_dict().values() for r in reports), strict=True))
     )
@@ -135,17 +142,34 @@ def _ends(plan: FloorPlan, place: NDArray[np.float64]) -> tuple[NDArray[np.float
 
 
 def _with_targets(plan: FloorPlan, sweep: EchoSweep, places: NDArray[np.float64]) -> EchoSweep:
-    """The sweeps with what the point targets return."""
-    returns = [target_returns(plan, *_ends(plan, place)) for place in places]
-    headings = plan.headings_rad()[list(sweep.epochs)]
-    heard = [_beams(plan, paths, heading) for paths, heading in zip(returns, headings, strict=True)]
-    count = sum(len(paths) for paths in returns)
+    """The sweeps with what the targets return."""
+    heard, count = [], 0
+    for epoch, place in zip(sweep.epochs, places, strict=True):
+        returns, shift_hz = target_returns(plan, *_ends(plan, place), epoch)
+        heard.append(_beams(plan, returns, epoch, shift_hz))
+        count += len(returns)
     return replace(sweep, response=sweep.response + np.stack(heard), targets=count)
 
 
-def _beams(plan: FloorPlan, paths: PathList, heading: float) -> NDArray[np.complex128]:
+def _doppler_hz(plan: FloorPlan, paths: PathList, epoch: int) -> NDArray[np.float64]:
+    """Doppler shift of returns off what stands, (paths,): both ends approach or leave it."""
+    ways = ("departure", "arrival")
+    towards = sum(
+        directions_of(getattr(paths, f"{way}_azimuth_rad"), getattr(paths, f"{way}_elevation_rad"))
+        for way in ways
+    )
+    return np.asarray(towards @ plan.velocities_m_s()[epoch] * plan.echo.carrier_hz / SPEED_OF_LIGHT_M_S)
+
+
+def _beams(
+    plan: FloorPlan, paths: PathList, epoch: int, shift_hz: NDArray[np.float64]
+) -> NDArray[np.complex128]:
     """Both directions of every path through every beam, summed on the tones, (beams, tones)."""
-    beams = plan.echo.beams.beam_set()
+    beams, heading = plan.echo.beams.beam_set(), plan.headings_rad()[epoch]
     sent = beams.one_way(paths.departure_azimuth_rad - heading, paths.departure_elevation_rad)
     heard = beams.one_way(paths.arrival_azimuth_rad - heading, paths.arrival_elevation_rad)
-    return superpose((sent * heard * paths.amplitude[:, None]).T, paths.delay_s, plan.echo.grid())
+    weights = (sent * heard * paths.amplitude[:, None]).T
+    if plan.echo.beam_interval_s > 0.0:
+        after_s = plan.echo.beam_interval_s * np.arange(len(weights))
+        weights = weights * np.exp(2j * np.pi * after_s[:, None] * shift_hz)
+    return superpose(weights, paths.delay_s, plan.echo.grid())

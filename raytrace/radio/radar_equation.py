@@ -29,7 +29,11 @@ __all__ = ["horizontal_hits", "radar_sweep"]
 
 
 def radar_sweep(
-    plan: FloorPlan, radio: Scene, place_m: NDArray[np.float64], heading_rad: float
+    plan: FloorPlan,
+    radio: Scene,
+    place_m: NDArray[np.float64],
+    heading_rad: float,
+    velocity_m_s: NDArray[np.float64],
 ) -> NDArray[np.complex128]:
     """Noiseless sweep by the radar equation.
 
@@ -44,6 +48,8 @@ def radar_sweep(
         Where the agent stands, metres.
     heading_rad : float
         Azimuth of its x axis in the plan, radians.
+    velocity_m_s : ndarray, shape (3,)
+        Its velocity, which turns returns from beam to beam, metres per second.
 
     Returns
     -------
@@ -65,7 +71,13 @@ def radar_sweep(
     section = echo.gamma * cosine ** (2.0 * echo.eta)
     carrier = np.exp(-2j * np.pi * echo.carrier_hz * 2.0 * distance / SPEED_OF_LIGHT_M_S)
     returned = np.where(hit, np.sqrt(section / (4.0 * np.pi) ** 3) / distance**2, 0.0) * carrier
-    summed = superpose(gain[:, None] * share * returned, 2.0 * distance / SPEED_OF_LIGHT_M_S, grid)
+    weights = gain[:, None] * share * returned
+    if echo.beam_interval_s > 0.0:
+        ahead = np.stack([np.cos(azimuth + heading_rad), np.sin(azimuth + heading_rad)], axis=-1)
+        shift_hz = 2.0 * ahead @ velocity_m_s[:2] * echo.carrier_hz / SPEED_OF_LIGHT_M_S
+        after_s = echo.beam_interval_s * np.arange(beams.beams)
+        weights = weights * np.exp(2j * np.pi * after_s[:, None] * shift_hz)
+    summed = superpose(weights, 2.0 * distance / SPEED_OF_LIGHT_M_S, grid)
     wavelength = SPEED_OF_LIGHT_M_S / (echo.carrier_hz + grid.offsets_hz())
     return np.asarray(summed * wavelength)
 

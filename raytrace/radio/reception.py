@@ -23,7 +23,9 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-def receive(plan: FloorPlan, paths: PathSet, epochs: NDArray[np.int64]) -> Complex:
+def receive(
+    plan: FloorPlan, paths: PathSet, epochs: NDArray[np.int64], shift_hz: Array | None = None
+) -> Complex:
     """Noiseless channels of all paths at some epochs.
 
     Parameters
@@ -34,13 +36,16 @@ def receive(plan: FloorPlan, paths: PathSet, epochs: NDArray[np.int64]) -> Compl
         Axes (epochs, anchors, path), plan frame.
     epochs : ndarray of int64, shape (epochs,)
         Epochs of the plan that the first axis of ``paths`` stands for.
+    shift_hz : ndarray, shape (epochs, anchors, path), optional
+        Doppler shifts, hertz; by default those of paths off what stands (:func:`doppler_hz`).
 
     Returns
     -------
     ndarray of complex128, shape (epochs, anchors, snapshots, anchor antennas, antennas, tones)
         Channel gains (dimensionless).
     """
-    turning = _snapshots(plan, doppler_hz(plan, paths, epochs))  # (..., snapshot, path)
+    shift_hz = doppler_hz(plan, paths, epochs) if shift_hz is None else shift_hz
+    turning = _snapshots(plan, shift_hz)  # (..., snapshot, path)
     sent = _anchor_array(plan, paths)  # (..., anchor antenna, path)
     heard = _agent_array(plan, paths, epochs)  # (..., antenna, path)
     signals = turning[..., :, None, None, :] * sent[..., None, :, None, :] * heard[..., None, None, :, :]

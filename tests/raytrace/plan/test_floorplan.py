@@ -176,6 +176,29 @@ BAD_VALUES = [
     ),
     ({"targets": [chair(rcs_dbsm=3.0)]}, r"targets\[0\]: expected either rcs_m2 or rcs_dbsm, got both"),
     ({"targets": [chair(rcs_m2=None)]}, r"targets\[0\]: expected either rcs_m2 or rcs_dbsm, got neither"),
+    ({"targets": [chair(kind="human")]}, "expected neither rcs_m2, rcs_dbsm nor points_m of a human"),
+    (
+        {"targets": [chair(kind="human", rcs_m2=None)]},
+        r"expected waypoints_m of a human \(one where it stands, on the floor\), got position_m",
+    ),
+    ({"targets": [chair(waypoints_m=[[8.0, 8.0]])]}, "expected either position_m or waypoints_m, got both"),
+    ({"targets": [chair(position_m=None)]}, "expected either position_m or waypoints_m, got neither"),
+    (
+        {"targets": [chair(position_m=None, waypoints_m=[[8.0, 8.0], [8.0, 8.0]])]},
+        "expected waypoints_m that differ from one to the next",
+    ),
+    (
+        {"targets": [chair(position_m=None, waypoints_m=[[8.0, 8.0], [12.0, 8.0]])]},
+        r"targets\[0\] \(chair\)\.waypoints_m: expected a way that stays more than 0\.1 m from every wall",
+    ),
+    (
+        {"targets": [chair(position_m=None, waypoints_m=[[8.0, 8.0]], height_m=3.5)]},
+        "expected less than the ceiling's 3 m, got 3.5 m",
+    ),
+    (
+        {"targets": [chair(position_m=None, waypoints_m=[[2.4, 3.0]], rcs_m2=None, kind="human")]},
+        r"targets.* at least 0\.454 m to the agent's track, got 0\.1 m",
+    ),
     ({"targets": [chair(rcs_m2=-1.0)]}, r"targets\[0\]\.rcs_m2: expected greater than 0, got -1\.0"),
     ({"targets": [chair(), chair()]}, "targets: expected names that differ, got 'chair' twice"),
     ({"targets": [chair(position_m=[9.95, 8.0, 1.0])]}, r"targets\[0\] \(chair\).*: it is in the wall"),

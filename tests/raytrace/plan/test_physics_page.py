@@ -35,7 +35,8 @@ def test_snippets_make_a_plan() -> None:
         data = merged(data, tomllib.loads(snippet))
     data["walls"][0]["material"] = "panel"
     plan = parse_floorplan(data)
-    assert [target.section_m2 for target in plan.targets] == [1.0, 10.0]
+    assert [target.section_m2 for target in plan.targets[:2]] == [1.0, 10.0]
+    assert [target.kind for target in plan.targets] == ["point", "point", "human", "agv"]
     assert list(plan.by_agent()) == ["agent", "ann"]
     assert plan.permittivity_of("panel", 28e9).real == 2.0
     assert plan.scattering_pattern_of("concrete").pattern == "backscattering"

@@ -132,7 +132,7 @@ def test_rays_that_meet_nothing() -> None:
     distance, cosine = horizontal_hits(radio, np.array([10.0, 15.0, 5.0]), np.array([0.0, 1.0]))
     assert np.isinf(distance).all()
     assert not cosine.any()
-    assert not radar_sweep(plan, radio, np.array([10.0, 15.0, 5.0]), 0.0).any()
+    assert not radar_sweep(plan, radio, np.array([10.0, 15.0, 5.0]), 0.0, np.zeros(3)).any()
 
 
 def test_pencil_beams_are_equation_7(l_room: Traced) -> None:
