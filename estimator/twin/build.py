@@ -12,7 +12,9 @@ from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
 from estimator.twin.bounces import BounceSamples, bounce_samples, gain_offsets
 from estimator.twin.ends import EndSearch, label_lines
+from estimator.twin.expected import expected_paths
 from estimator.twin.missing import supported
+from estimator.twin.obstacles import Obstacle, ShadowSearch, find_obstacles
 from estimator.twin.sightings import Hearing, Sightings, joint_of, sightings
 from estimator.twin.stretches import Closing, Stretch, close_gaps, wall_stretches
 
@@ -33,11 +35,14 @@ class TwinConfig:
         Where walls end.
     closing : Closing
         Which gaps are closed.
+    shadows : ShadowSearch
+        How obstacles are looked for.
     """
 
     hearing: Hearing = field(default_factory=Hearing)
     ends: EndSearch = field(default_factory=EndSearch)
     closing: Closing = field(default_factory=Closing)
+    shadows: ShadowSearch = field(default_factory=ShadowSearch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +80,8 @@ class TwinMap:
     ----------
     walls : tuple of Stretch
         Walls that were mapped, and those that are assumed (line -1).
+    obstacles : tuple of Obstacle
+        What hides, and is no wall.
     anchors : tuple of TwinAnchor
         The located anchors.
     track_m : ndarray, shape (T, 2)
@@ -90,6 +97,7 @@ class TwinMap:
     """
 
     walls: tuple[Stretch, ...]
+    obstacles: tuple[Obstacle, ...]
     anchors: tuple[TwinAnchor, ...]
     track_m: Array
     time_s: Array
@@ -130,9 +138,13 @@ def build_twin(result: SlamResult, measurements: MeasurementSet, config: TwinCon
     kept = [wall for wall in assumed if supported(wall, closed, result, measurements, config.closing)]
     if len(kept) < len(assumed):  # ends that nothing closes stay as they were seen
         closed, _ = close_gaps(seen, heard_legs(sights), config.closing) if kept else (seen, [])
+    walls = (*closed, *kept)
+    expected = expected_paths(sights.unfolded, vrps, walls)
+    obstacles = find_obstacles(sights, expected, _main_axis(closed), config.shadows)
     offset, offset_std = gain_offsets(result, measurements)
     return TwinMap(
-        (*closed, *kept),
+        walls,
+        tuple(obstacles),
         _anchors(result, offset, offset_std),
         result.agent_mean[:, :2],
         result.time_s,
@@ -148,6 +160,15 @@ def heard_legs(sights: Sightings) -> Array:
     vertex = sights.unfolded.vertex_m[sights.heard & few]
     legs = np.stack([vertex[:, :-1], vertex[:, 1:]], axis=2).reshape(-1, 2, 2)
     return np.asarray(legs[np.linalg.norm(legs[:, 1] - legs[:, 0], axis=1) > 1e-9])
+
+
+def _main_axis(walls: list[Stretch]) -> float:
+    """Direction, modulo a right angle, that most of the walls' length has, radians."""
+    ends = np.array([wall.ends_m for wall in walls])
+    along = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    turn = np.sum(length * np.exp(4j * np.arctan2(along[:, 1], along[:, 0])))
+    return float(np.angle(turn) / 4.0)
 
 
 def _anchors(result: SlamResult, offset: Array, offset_std: Array) -> tuple[TwinAnchor, ...]:

@@ -39,9 +39,16 @@ class Hearing:
         metres: errors
         of the map.
     bounce_loss_db : float
-        Loss that a bounce is expected to cost at most: building materials cost 5 to 15 dB.
+        Loss that a bounce is expected to cost at most, off walls whose bounces were not heard: building
+        materials cost 5 to 15 dB.
+    least_bounces : int
+        Bounces from which a wall's own losses are believed: the 95th percentile.
     least_share : float
         A path is strong enough if this share of an anchor's measured paths were weaker than it is expected.
+    dynamic_range_db : float
+        A path this much weaker than the strongest of its epoch may be missed: channel estimators pass over
+        what
+        drowns in the others' side lobes.
     stride : int
         Every so many epochs are looked at; neighbours tell the same.
     """
@@ -50,11 +57,13 @@ class Hearing:
     margin_sigma: float = 4.0
     margin_m: float = 0.1
     bounce_loss_db: float = 12.0
+    least_bounces: int = 5
     least_share: float = 0.02
+    dynamic_range_db: float = 29.0
     stride: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("resolution_m", "margin_sigma", "margin_m", "bounce_loss_db"):
+        for name in ("resolution_m", "margin_sigma", "margin_m", "bounce_loss_db", "dynamic_range_db"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ConfigurationError(f"{name}: expected a positive number, got {getattr(self, name)}")
         if not 0.0 <= self.least_share < 1.0 or self.stride < 1:
@@ -141,7 +150,9 @@ def sightings(result: SlamResult, measurements: MeasurementSet, config: Hearing 
             if not epoch.was_asked[k]:
                 usable[i, k] = False
                 continue
-            measured = epoch.paths[k].range_m
+            measured, gain = epoch.paths[k].range_m, epoch.paths[k].gain_db
+            if gain is not None and len(gain):
+                strong[i, k] &= expected[i, k] > gain.max() - config.dynamic_range_db
             if measured.size:
                 reach = config.resolution_m + config.margin_m
                 gap = np.abs(length[i, k][:, None] - measured)
@@ -160,6 +171,18 @@ def _heard(joint: JointMap, paths: Unfolded, epochs: int) -> Mask:
     known = feature >= 0
     heard[joint.path_epoch[known], joint.path_anchor[known], feature[known]] = True
     return heard
+
+
+def _wall_losses(joint: JointMap, walls: int, config: Hearing) -> Array:
+    """What a bounce off each wall costs at most (L,), dB."""
+    losses = np.full(walls, config.bounce_loss_db)
+    single = (joint.path_walls[:, 0] >= 0) & (joint.path_walls[:, 1] < 0) & np.isfinite(joint.path_gain_db)
+    for wall in range(walls):
+        mine = single & (joint.path_walls[:, 0] == wall)
+        if mine.sum() >= config.least_bounces:
+            loss = -joint.path_gain_db[mine] - free_space_loss_db(joint.path_length_m[mine], joint.carrier_hz)
+            losses[wall] = np.quantile(loss, 0.95)
+    return losses
 
 
 def _weakest(measurements: MeasurementSet, anchor: int, share: float) -> float:

@@ -196,7 +196,7 @@ def close_gaps(
     pairs = []
     for n, (i, e) in enumerate(ends):
         for j, g in ends[n + 1 :]:
-            if i != j:
+            if stretches[i].line != stretches[j].line:  # a gap in a line is an opening
                 gap = float(np.linalg.norm(stretches[i].ends_m[e] - stretches[j].ends_m[g]))
                 if gap <= config.longest_m:
                     pairs.append((gap, i, e, j, g))
@@ -208,6 +208,8 @@ def close_gaps(
             i, e, j, g = j, g, i, e
         start = stretches[i].ends_m[e]
         finish = _opposite(stretches[i], e, stretches[j], g, config.parallel_rad)
+        if np.linalg.norm(finish - start) < config.shortest_m:
+            continue
         if _crossed(start, finish, heard_m) or _crossed(stretches[j].ends_m[g], finish, heard_m):
             continue
         std = stretches[i].std_m[e]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import InputError
+from estimator.geometry import rotate
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.prediction.channels import channels_of, predict
 from raytrace.prediction.heldout import HeldOut
@@ -82,16 +83,14 @@ def trial(
 
 
 def end_errors(plan: FloorPlan, true: FloorPlan, start_m: Array, heading_rad: float) -> dict[str, Any]:
-    """Distances of the plan's closed ends from the nearest true ones: ``mean``, ``largest`` and ``count``."""
-    from estimator.geometry import rotate
-
+    """Distances of the plan's corners from the nearest true ends: ``mean``, ``largest`` and ``count``."""
     kinds = {} if plan.uncertainty is None else {entry.wall: entry for entry in plan.uncertainty.walls}
     ends = [
         end
         for wall in plan.walls
         for end, kind in (
-            (wall.from_m, kinds[wall.name].from_end if wall.name in kinds else "corner"),
-            (wall.to_m, kinds[wall.name].to_end if wall.name in kinds else "corner"),
+            (wall.from_m, kinds[wall.name].from_end if wall.name in kinds else None),
+            (wall.to_m, kinds[wall.name].to_end if wall.name in kinds else None),
         )
         if kind == "corner"
     ]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.console import made_parents
+from service.cli.progress import Reporter
 
 if TYPE_CHECKING:
     import numpy as np
@@ -78,6 +79,10 @@ def twin(
     found, measured = load_result(result), load_measurements(measurements)
     if found.joint is None:
         found = refine(measured, found)
+    if found.flagged.any():
+        first = int(found.epoch[found.flagged.argmax()])
+        share = f"{int(found.flagged.sum())} of {len(found.epoch)} epochs from {first} on"
+        Reporter().say(f"hapslam: note: the run doubts itself in {share}; so does this twin")
     built = build_twin(found, measured)
     plan = twin_plan(built, out.stem[:100] or "twin", _radio(measured), agent_height)
     save_floorplan(plan, out)
@@ -179,7 +184,10 @@ def _facts(plan: FloorPlan, out: Path) -> dict[str, Any]:
         "open_ends": open_ends,
         "obstacles": len(known.obstacles),
         "anchors": len(plan.anchors),
-        "materials": {wall.name: f"{wall.material} {wall.thickness_m:g} m" for wall in plan.walls},
+        "materials": {
+            wall.name: f"{wall.material} {wall.thickness_m:g} m"
+            for wall in plan.walls[: len(known.walls)]  # the obstacles' follow
+        },
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.errors import InputError
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["material_fits", "twin_plan"]
 
+Array = NDArray[np.float64]
 _HEADROOM_M = 0.5  # walls are higher than the highest anchor by this, and 3 m at least
 _LEAST_HEIGHT_M = 3.0
 _ASSUMED_MATERIAL, _ASSUMED_THICKNESS_M = "concrete", 0.2
@@ -68,16 +70,7 @@ def twin_plan(twin: TwinMap, name: str, radio: Radio, agent_height_m: float = 1.
     for wall, label in zip(twin.walls, names, strict=True):
         fit = fits.get(wall.line)
         material, thickness = likeliest if fit is None else (fit.material, fit.thickness_m)
-        walls.append(
-            {
-                "name": label,
-                "from_m": _rounded(wall.ends_m[0]),
-                "to_m": _rounded(wall.ends_m[1]),
-                "height_m": height,
-                "material": material,
-                "thickness_m": round(thickness, 5),
-            }
-        )
+        walls.append(_wall(label, wall.ends_m[0], wall.ends_m[1], height, (material, thickness)))
         entry = {
             "wall": label,
             "from_end": wall.kinds[0],
@@ -91,6 +84,13 @@ def twin_plan(twin: TwinMap, name: str, radio: Radio, agent_height_m: float = 1.
             else {m: round(p, 4) for m, p in fit.probabilities.items() if p >= 5e-5},
         }
         known.append({key: value for key, value in entry.items() if value is not None})
+    hidden = []
+    for number, obstacle in enumerate(twin.obstacles):
+        sides = [f"obstacle-{number}-{side}" for side in range(4)]
+        for side, label in enumerate(sides):
+            ends = obstacle.corners_m[side], obstacle.corners_m[(side + 1) % 4]
+            walls.append(_wall(label, ends[0], ends[1], height, likeliest))
+        hidden.append({"walls": sides, "existence": round(obstacle.existence, 4)})
     data = {
         "format": FORMAT,
         "version": VERSION,
@@ -111,6 +111,7 @@ def twin_plan(twin: TwinMap, name: str, radio: Radio, agent_height_m: float = 1.
             "rotation_std_rad": twin.rotation_std_rad,
             "epochs": len(twin.track_m),
             "walls": known,
+            "obstacles": hidden,
             "anchors": [
                 {
                     key: value
@@ -128,6 +129,19 @@ def twin_plan(twin: TwinMap, name: str, radio: Radio, agent_height_m: float = 1.
         },
     }
     return parse_floorplan(data, source=name)
+
+
+def _wall(
+    label: str, start: Array, end: Array, height_m: float, slab: tuple[str, float]
+) -> dict[str, object]:
+    return {
+        "name": label,
+        "from_m": _rounded(start),
+        "to_m": _rounded(end),
+        "height_m": height_m,
+        "material": slab[0],
+        "thickness_m": round(slab[1], 5),
+    }
 
 
 def _names(walls: tuple[Stretch, ...]) -> list[str]:
@@ -169,7 +183,7 @@ def _agent(twin: TwinMap, height_m: float) -> dict[str, object]:
     }
 
 
-def _rounded(point: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> list[float]:
+def _rounded(point: Array) -> list[float]:
     return [round(float(value), 4) for value in point]
 
 
