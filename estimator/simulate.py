@@ -55,6 +55,9 @@ class SimulationConfig:
         Standard deviation of directions of arrival, radians; 0: none are measured.
     clock_bias_m : float
         Constant clock bias of all anchors as a path length, metres.
+    clock_free_std_m : float
+        Standard deviation of a clock bias common to all anchors that is new in every epoch, metres: what is
+        left are time differences of arrival. None brings a path below zero.
     sweep_every : int
         Epochs between beam sweeps after the one at the start; 0: no more sweeps.
     sweep_variance : float
@@ -73,6 +76,7 @@ class SimulationConfig:
     step_s: float = 1.0
     azimuth_std_rad: float = 0.0
     clock_bias_m: float = 0.0
+    clock_free_std_m: float = 0.0
     sweep_every: int = 0
     sweep_variance: float = 8.9e-4
     heading_held: bool = True
@@ -85,8 +89,9 @@ class SimulationConfig:
             raise ConfigurationError(
                 f"detection_probability: expected a number from 0 to 1, got {self.detection_probability}"
             )
-        if not 0.0 <= self.clutter_mean < np.inf:
-            raise ConfigurationError(f"clutter_mean: expected 0 or more, got {self.clutter_mean}")
+        for name in ("clutter_mean", "clock_free_std_m"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ConfigurationError(f"{name}: expected 0 or more, got {getattr(self, name)}")
 
 
 def simulate_walls(
@@ -131,19 +136,33 @@ def simulate_epochs(
     epochs = []
     for t in range(paths.length_m.shape[0]):
         heading = 0.0 if config.heading_held else float(rng.uniform(-np.pi, np.pi))
+        bias = config.clock_bias_m + _free_clock(paths.length_m[t][paths.visible[t]], config, rng)
         heard = tuple(
-            _hear(paths.length_m[t, k][seen], paths.azimuth_rad[t, k][seen] - heading, config, rng)
+            _hear(paths.length_m[t, k][seen], paths.azimuth_rad[t, k][seen] - heading, bias, config, rng)
             for k, seen in enumerate(paths.visible[t])
         )
         epochs.append(Epoch(t, t * config.step_s, heard, heading_held=config.heading_held))
     return tuple(epochs)
 
 
-def _hear(lengths: Array, azimuths: Array, config: SimulationConfig, rng: np.random.Generator) -> AnchorPaths:
+def _free_clock(lengths: Array, config: SimulationConfig, rng: np.random.Generator) -> float:
+    """The clock bias of an epoch, metres; none where it is not free."""
+    if config.clock_free_std_m == 0.0:
+        return 0.0
+    shortest = float(lengths.min(initial=np.inf))
+    while True:
+        bias = float(rng.normal(scale=config.clock_free_std_m))
+        if bias > -shortest:
+            return bias
+
+
+def _hear(
+    lengths: Array, azimuths: Array, bias_m: float, config: SimulationConfig, rng: np.random.Generator
+) -> AnchorPaths:
     """One anchor's paths in one epoch."""
     detected = rng.random(lengths.size) < config.detection_probability
     true = lengths[detected]
-    noisy = true + config.clock_bias_m + rng.normal(scale=config.range_std_m, size=true.size)
+    noisy = true + bias_m + rng.normal(scale=config.range_std_m, size=true.size)
     clutter = rng.uniform(0.0, config.region_m, size=rng.poisson(config.clutter_mean))
     ranges = np.concatenate([noisy, clutter])
     order = ranges.argsort(kind="stable")
@@ -275,6 +294,8 @@ def measure_scene(
     }
     if config.clock_bias_m:
         model |= {"clock_bias_std_m": abs(config.clock_bias_m), "clock_bias_common": True}
+    if config.clock_free_std_m:
+        model |= {"clock_free_std_m": config.clock_free_std_m}
     settings = {"simulation": asdict(config), "measurement_model": model}
     places = np.asarray(anchors_m, dtype=np.float64).reshape(-1, 2) - reference if know_anchors else None
     return MeasurementSet(names, walls, epochs, carrier_hz, settings, known_anchors_m=places)

@@ -53,6 +53,11 @@ OPTIONS = {
         {"clock_bias_m": 10.0},
         {"clock_bias": "common"},
     ),
+    "tdoa": Option(
+        "a clock bias (10 m) of all anchors that is new in every epoch: time differences of arrival",
+        {"clock_free_std_m": 10.0},
+        {"clock_bias": "free"},
+    ),
 }
 
 

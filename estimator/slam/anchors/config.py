@@ -31,6 +31,9 @@ class AnchorSearchConfig(Settings):
         Features that a path of the present epoch must explain for sure.
     fresh_probability : float
         Association probability from which a path explains a feature for sure.
+    start_patience : int
+        Epochs that pass before the first anchor starts from places that explain enough though others are as
+        likely.
     start_attempts : int
         Places kept of each search.
     restart_distance_m : float
@@ -158,6 +161,7 @@ class AnchorSearchConfig(Settings):
     start_matches: int = positive(4)
     start_fresh: int = positive(2)
     fresh_probability: float = probability(0.9)
+    start_patience: int = not_negative(1)
     start_attempts: int = positive(20)
     restart_distance_m: float = positive(2.0)
     place_margin_nats: float = positive(2.0)

@@ -177,7 +177,7 @@ def locate_anchors(hypotheses: Hypotheses, given: SearchInput, config: AnchorSea
             continue
         searches = [_searched(hypotheses, given, k, group, len(groups), budget, config) for group in groups]
         hypotheses = _branched(hypotheses, searches, given, config.place_margin_nats, budget, config)
-    if early and len(given.heard.track.epoch) and not hypotheses.located.any():
+    if early and given.heard.epochs >= config.start_patience and not hypotheses.located.any():
         everyone = np.arange(hypotheses.number)
         for k in np.argsort(-np.sum(given.paths.valid, axis=1), kind="stable").tolist():
             search = _searched(hypotheses, given, k, everyone, 1, budget, config)

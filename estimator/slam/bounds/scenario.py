@@ -29,6 +29,7 @@ __all__ = ["Observation", "Scenario", "Sensing"]
 
 Array = NDArray[np.float64]
 
+_ANY_CLOCK_M2 = 1e4  # variance of a clock bias that is not known
 _ANY_HEADING_RAD2 = 100.0  # variance of a heading that is not known
 _SAME_LINE_M = 0.02  # VRPs nearer than this are of one line, whose ends are rounded
 _UNKNOWN_M2 = 1e6  # variance of a coordinate that is not known
@@ -75,8 +76,9 @@ class Sensing:
     heading_held : bool
         Whether the agent's axes stay those of the start. If not, each epoch after the first has an
         unknown heading of its own, common to its angles and its sweep.
-    clock_bias : {"none", "common", "each"}
-        Unknown constant clock bias: none, one of all anchors, or one of each.
+    clock_bias : {"none", "common", "each", "free"}
+        Unknown clock bias: none, a constant one of all anchors or of each, or one of all anchors that is new
+        in every epoch, as of time differences of arrival.
     height2_std_m2 : float
         Standard deviation of the squared height differences; 0 if they are known.
     acceleration_variance : float
@@ -99,7 +101,7 @@ class Sensing:
     lines_shared: bool = False
     azimuth_std_rad: float | None = None
     heading_held: bool = True
-    clock_bias: Literal["none", "common", "each"] = "none"
+    clock_bias: Literal["none", "common", "each", "free"] = "none"
     height2_std_m2: float = 0.0
     acceleration_variance: float = 0.0278
     velocity_std_m_s: float = 1.0
@@ -121,9 +123,9 @@ class Sensing:
             )
         if self.order not in (0, 1, 2):
             raise ConfigurationError(f"Sensing.order: expected 0, 1 or 2, got {self.order}")
-        if self.clock_bias not in ("none", "common", "each"):
+        if self.clock_bias not in ("none", "common", "each", "free"):
             raise ConfigurationError(
-                f"Sensing.clock_bias: expected none, common or each, got {self.clock_bias!r}"
+                f"Sensing.clock_bias: expected none, common, each or free, got {self.clock_bias!r}"
             )
         if self.odometry is not None and not all(0.0 < std < np.inf for std in self.odometry):
             raise ConfigurationError(f"Sensing.odometry: expected two positive numbers, got {self.odometry}")
@@ -306,6 +308,8 @@ class Scenario:
             jacobian, variances, by_heading = (np.concatenate(column) for column in zip(*parts, strict=True))
             jacobian[:, THETA] = 0.0
             covariance = np.diag(variances)
+            if sensing.clock_bias == "free":
+                covariance[:count, :count] += _ANY_CLOCK_M2
             if t and not sensing.heading_held:
                 covariance += _ANY_HEADING_RAD2 * np.outer(by_heading, by_heading)
             result.append(Observation(jacobian, covariance))

@@ -10,6 +10,7 @@ from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.association.gating import GateModel, Gating
 from estimator.slam.gaussian.births.config import Births, VirtualBirths
 from estimator.slam.gaussian.branching import Branching, BranchModel
+from estimator.slam.gaussian.clock_guesses import ClockGuesses
 from estimator.slam.gaussian.clutter import Clutter
 from estimator.slam.gaussian.integrity import IntegrityModel
 from estimator.slam.gaussian.lifecycle import Lifecycle
@@ -49,6 +50,8 @@ class GaussianConfig(SettingGroups):
         Noise of path lengths, misses, clutter, heights and gains.
     clocks : Clocks
         Biases and scales of path lengths.
+    clock_guesses : ClockGuesses
+        Guesses of a bias that is new in every epoch.
     noise_level : NoiseLevel
         How far claimed deviations are believed.
     motion : Motion
@@ -89,6 +92,7 @@ class GaussianConfig(SettingGroups):
 
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
     clocks: Clocks = field(default_factory=Clocks)
+    clock_guesses: ClockGuesses = field(default_factory=ClockGuesses)
     noise_level: NoiseLevel = field(default_factory=NoiseLevel)
     motion: Motion = field(default_factory=Motion)
     visibility: Visibility = field(default_factory=Visibility)
@@ -110,9 +114,18 @@ class GaussianConfig(SettingGroups):
 
     @cached_property
     def search(self) -> AnchorSearchConfig:
-        """The search for anchors; in the plane, where heights are known to be none."""
-        planar = self.noise.height2_std_m2 == 0.0
-        return replace(self.anchors, height_cells=0) if planar else self.anchors
+        """The search for anchors.
+
+        In the plane, where heights are known to be none. Without patience, and from a place that one path
+        tells for sure, where the clock of another epoch is another: what an epoch tells is lost if no anchor
+        starts from it.
+        """
+        search = self.anchors
+        if self.noise.height2_std_m2 == 0.0:
+            search = replace(search, height_cells=0)
+        if self.clocks.clock_free_std_m > 0.0:
+            search = replace(search, start_patience=0, start_fresh=1)
+        return search
 
     @cached_property
     def heard(self) -> MeasurementNoise:

@@ -30,6 +30,7 @@ from estimator.slam.gaussian.births.walls import bear_wall
 from estimator.slam.gaussian.clutter import clutter_density
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.estimate import estimate
+from estimator.slam.gaussian.free_clock import guess_clock, on_present_clock, to_remember
 from estimator.slam.gaussian.integrity import with_epoch
 from estimator.slam.gaussian.lifecycle import (
     delete_redundant,
@@ -99,11 +100,13 @@ def step(
     epoch = guard_clutter(epoch, config.noise.most_paths)
     paths = stack_paths(epoch, state.carrier_hz, state.bearing_rad)
     paths = believed(paths, config.noise.range_std_m, state.levels, epoch.time_s, config.noise_level.model)
+    earlier = state
     state = _predict(state, epoch, config)
     if epoch.sweep and state.shared:
         state = _sweep(state, epoch, config, phase)
     before, predicted = state.log_evidence, state.hypotheses
     state, explained = _update(state, paths, config)
+    state = on_present_clock(state, earlier.hypotheses, config)
     located = state.hypotheses.located[state.hypotheses.best]
     signs = (
         float(paths.valid[located].sum()),
@@ -174,6 +177,7 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
     if not before.located.any():
         return state, np.zeros(paths.length_m.shape)
     clutter = clutter_density(state.buffer, layout.anchors, state.blind, config.noise, config.clutter)
+    before = guess_clock(state, paths, clutter, config)
     best = before.best
     levels = learned(
         layout,
@@ -284,9 +288,8 @@ def _remember(
     )
     window = config.births.birth_window if layout.shared else config.virtual_births.virtual_window
     std = float(np.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1])))
-    buffer = state.buffer.with_epoch(
-        state.epoch, mean[:2], std, paths, associated, max(window, config.anchors.start_window)
-    )
+    heard, kept = to_remember(state, paths, config), max(window, config.anchors.start_window)
+    buffer = state.buffer.with_epoch(state.epoch, mean[:2], std, heard, associated, kept)
     return state.but(buffer=buffer)
 
 

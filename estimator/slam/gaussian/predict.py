@@ -126,7 +126,7 @@ def _faded(
 ) -> Hypotheses:
     visibility, asked = hypotheses.visibility.copy(), fading.asked
     for r in range(mean.shape[0]):
-        predict_clocks(layout, covariance[r], fading.step_s, fading.clocks)
+        predict_clocks(layout, mean[r], covariance[r], fading.step_s, fading.clocks)
         for k in range(asked.size):
             if asked[k]:
                 for f in range(visibility.shape[2]):

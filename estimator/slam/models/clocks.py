@@ -56,7 +56,10 @@ class Clocks(Settings):
     def model(self) -> ClockModel:
         """How biases change, as compiled functions take it."""
         walk = self.clock_walk_ppm * 1e-6 * SPEED_OF_LIGHT_M_S
-        return ClockModel(walk**2, bool(self.clock_bias_common), self.clock_free_std_m**2)
+        constant, free = self.clock_bias_std_m**2, self.clock_free_std_m**2
+        if self.clock_bias_common and free > 0.0:
+            constant, free = 0.0, constant + free
+        return ClockModel(walk**2, bool(self.clock_bias_common), free, constant)
 
     @property
     def constant(self) -> bool:
@@ -65,11 +68,24 @@ class Clocks(Settings):
 
 
 class ClockModel(NamedTuple):
-    """How biases change: variance of the walk in a second, whether it is common, variance of a free bias."""
+    """How biases change.
+
+    Parameters
+    ----------
+    walk_m2_s : float
+        Variance of their walk in a second, square metres.
+    common : bool
+        Whether all walk together.
+    free_m2 : float
+        Variance of what is common to all and new in every epoch, square metres; 0 if nothing is.
+    constant_m2 : float
+        Variance beforehand of what is each anchor's own and stays, square metres.
+    """
 
     walk_m2_s: float
     common: bool
     free_m2: float
+    constant_m2: float
 
 
 def clock_prior(covariance: Array, layout: Layout, clocks: Clocks) -> None:
@@ -87,16 +103,46 @@ def clock_prior(covariance: Array, layout: Layout, clocks: Clocks) -> None:
 
 
 @compiled
-def predict_clocks(layout: Layout, covariance: Array, step_s: float, clocks: ClockModel) -> None:
-    """Widen the biases of a Gaussian by what they may change in a step, in place."""
+def predict_clocks(layout: Layout, mean: Array, covariance: Array, step_s: float, clocks: ClockModel) -> None:
+    """Change the biases of a Gaussian, in place: walk, and forget what is new in every epoch.
+
+    Of biases ``b = c + f`` the free part f goes and another comes: of c, constant and each anchor's own,
+    what is left is its expectation given b. How biases differ stays known.
+    """
     walk = clocks.walk_m2_s * step_s
-    together = clocks.free_m2 + (walk if clocks.common else 0.0)
-    apart = 0.0 if clocks.common else walk
+    together, apart = (walk, 0.0) if clocks.common else (0.0, walk)
+    first, count = FIRST_ANCHOR + 3, layout.anchors
+    if clocks.free_m2 > 0.0:
+        share = clocks.free_m2 / (clocks.constant_m2 + count * clocks.free_m2)
+        mean[first : first + PER_ANCHOR * count : PER_ANCHOR] -= (
+            share * mean[first : first + PER_ANCHOR * count : PER_ANCHOR].sum()
+        )
+        _less_common(covariance, first, count, share)
+        together += clocks.free_m2 + share * clocks.constant_m2
     if together + apart == 0.0:
         return
-    first = FIRST_ANCHOR + 3
-    for k in range(layout.anchors):
+    for k in range(count):
         b = first + PER_ANCHOR * k
         covariance[b, b] += apart
-        for other in range(layout.anchors):
+        for other in range(count):
             covariance[b, first + PER_ANCHOR * other] += together
+
+
+@compiled
+def _less_common(covariance: Array, first: int, count: int, share: float) -> None:
+    """Take a share of the biases' sum off each of them: the covariance, in place and symmetric to the bit."""
+    n = covariance.shape[0]
+    total = np.zeros(n)
+    for k in range(count):
+        total += covariance[first + PER_ANCHOR * k]
+    whole = 0.0
+    for k in range(count):
+        whole += total[first + PER_ANCHOR * k]
+    is_bias = np.zeros(n)
+    is_bias[first : first + PER_ANCHOR * count : PER_ANCHOR] = share
+    for i in range(n):
+        for j in range(n):
+            if is_bias[i] > 0.0 or is_bias[j] > 0.0:
+                covariance[i, j] += is_bias[i] * is_bias[j] * whole - (
+                    is_bias[i] * total[j] + is_bias[j] * total[i]
+                )

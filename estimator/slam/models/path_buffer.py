@@ -108,6 +108,10 @@ class PathBuffer(NamedTuple):
         """The buffer with the paths of some anchors (K,) alone; the track stays."""
         return self._only(which[self.anchor])
 
+    def shifted(self, length_m: Array) -> PathBuffer:
+        """The buffer with a length (K,) added to all paths of each anchor, metres."""
+        return self._replace(length_m=self.length_m + length_m[self.anchor])
+
     def _only(self, stay: Mask) -> PathBuffer:
         """The track, and some of the paths (N,)."""
         return PathBuffer(

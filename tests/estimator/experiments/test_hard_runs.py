@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from estimator.experiments.cases import cases_of
+from estimator.experiments.cases import cases_of, limit_of
 from estimator.experiments.runs import Run, watch
 
 
@@ -24,3 +25,23 @@ def test_an_anchor_that_has_to_wait_loses_nothing_by_it(walk):
     _, score = watch(Run(walk(40), cases_of(["hybrid+clock"], "gaussian")[0], 6035, 1))
     assert not score.lost
     assert score.derotated_m[-1] < 0.6
+
+
+@pytest.mark.parametrize("seed", [6013, 6043])
+def test_time_differences_follow_the_walk(walk, seed):
+    """A clock that is new in every epoch: few paths at the start, and every path may be of every wall."""
+    _, score = watch(Run(walk(60), cases_of(["hybrid+tdoa"], "gaussian")[0], seed, 1))
+    assert not score.lost
+    assert score.derotated_m[-1] < 0.6
+
+
+@pytest.mark.soak
+def test_time_differences_lose_no_run(walk, record_property):
+    """Fifty walks, and the error beside the limit of what is measured."""
+    room, case = walk(), cases_of(["hybrid+tdoa"], "gaussian")[0]
+    scores = [watch(Run(room, case, 6001 + i, 1))[1] for i in range(50)]
+    mean = np.mean([score.error_m[-1] for score in scores])
+    limit = limit_of(room, case).position_mae_m[-1]
+    record_property("mean error at the end, limit, m", f"{mean:.3f}, {limit:.3f}")
+    assert sum(score.lost for score in scores) == 0
+    assert mean < 1.3 * limit

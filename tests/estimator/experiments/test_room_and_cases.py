@@ -88,6 +88,7 @@ def test_limits_of_the_papers_room(walk: Callable[..., Room]) -> None:
 
     assert mae("hybrid") == pytest.approx(0.38, abs=0.01)
     assert mae("hybrid", "clock") == pytest.approx(0.38, abs=0.01)
+    assert mae("hybrid", "tdoa") == pytest.approx(0.387, abs=0.01)
     assert mae("hybrid", "sweeps") == pytest.approx(0.13, abs=0.02)
     assert mae("hybrid", "aoa") == pytest.approx(0.107, abs=0.01)
     assert mae("mva") == pytest.approx(0.085, abs=0.005)
@@ -109,5 +110,7 @@ def test_options_change_what_is_measured(walk: Callable[..., Room], name: str) -
         "aoa": other.epochs[0].paths[0].azimuth_rad is not None,
         "sweeps": bool(other.epochs[10].sweep) and not plain.epochs[10].sweep,
         "clock": other.epochs[0].paths[0].range_m[0] > plain.epochs[0].paths[0].range_m[0] + 5.0,
+        "tdoa": np.ptp([epoch.paths[0].range_m[0] for epoch in other.epochs])
+        > np.ptp([epoch.paths[0].range_m[0] for epoch in plain.epochs]) + 5.0,
     }
     assert differs[name]

@@ -14,7 +14,7 @@ from tests.service.messages.nr_messages import lpp_element
 _IDS = [3, 4]
 _LOST_M = 3.0  # an error that no later epoch makes good
 _RUNS = 40
-_MOST_LOST = 9  # three standard deviations above the four that were lost when this was written
+_MOST_LOST = 0
 _RMSE_M = 1.0  # of one run; with times of flight it is about a third of a metre
 
 

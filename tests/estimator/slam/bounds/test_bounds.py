@@ -80,6 +80,7 @@ def test_two_routes_to_the_last_epoch(scenario):
         {},
         {"azimuth_std_rad": 0.02, "heading_held": False},
         {"clock_bias": "each", "sweep_every": 50},
+        {"clock_bias": "free"},
     ):
         sensing = Sensing(**PAPER, **change)
         forward, batch = posterior_bounds(scenario, sensing), posterior_bounds(scenario, sensing, "batch")

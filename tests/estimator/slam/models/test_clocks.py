@@ -35,24 +35,47 @@ def test_biases_walk(common):
     clocks = Clocks(clock_walk_ppm=0.01, clock_bias_common=common)
     covariance = np.zeros((LAYOUT.size, LAYOUT.size))
     for _ in range(4):
-        predict_clocks(LAYOUT, covariance, 0.5, clocks.model)
+        predict_clocks(LAYOUT, np.zeros(LAYOUT.size), covariance, 0.5, clocks.model)
     variance = 2.0 * (1e-8 * SPEED_OF_LIGHT_M_S) ** 2
     expected = variance * (np.ones((3, 3)) if common else np.eye(3))
     np.testing.assert_allclose(covariance[np.ix_(BIAS, BIAS)], expected)
     assert covariance.sum() == pytest.approx(expected.sum())
 
 
-def test_a_free_bias_leaves_differences_alone():
-    """What all lengths have in common is new; how biases differ stays known."""
+@pytest.mark.parametrize("constant_std", [0.0, 0.5])
+def test_a_free_bias_is_forgotten_and_differences_are_not(constant_std):
+    """What all lengths have in common is new, whatever was told before; how biases differ stays known."""
     rng = np.random.default_rng(1)
     root = rng.normal(size=(LAYOUT.size, LAYOUT.size))
     covariance = root @ root.T
-    after = covariance.copy()
-    predict_clocks(LAYOUT, after, 1.0, Clocks(clock_free_std_m=100.0).model)
+    mean = rng.normal(size=LAYOUT.size)
+    clocks = Clocks(clock_bias_std_m=constant_std, clock_free_std_m=100.0)
+    after, moved = covariance.copy(), mean.copy()
+    for _ in range(5):
+        predict_clocks(LAYOUT, moved, after, 1.0, clocks.model)
+    assert np.array_equal(after, after.T)
     difference = np.zeros(LAYOUT.size)
     difference[BIAS[0]], difference[BIAS[2]] = 1.0, -1.0
     assert difference @ after @ difference == pytest.approx(difference @ covariance @ difference)
-    assert after[BIAS[1], BIAS[1]] == pytest.approx(covariance[BIAS[1], BIAS[1]] + 1e4)
+    assert difference @ moved == pytest.approx(difference @ mean)
+    common = np.zeros(LAYOUT.size)
+    common[BIAS] = 1.0 / 3.0
+    assert common @ after @ common == pytest.approx(1e4 + constant_std**2 / 3.0, rel=1e-4)
+    assert common @ moved == pytest.approx(0.0, abs=1e-3)
+    other = np.setdiff1d(np.arange(LAYOUT.size), BIAS)
+    np.testing.assert_array_equal(after[np.ix_(other, other)], covariance[np.ix_(other, other)])
+    np.testing.assert_allclose((common @ after)[other], 0.0, atol=1e-2)
+
+
+def test_a_free_clock_of_one_anchor_tells_nothing():
+    """With one anchor the bias is all that is common: nothing of it stays."""
+    layout = Layout(1, 1)
+    covariance, mean = np.eye(layout.size), np.ones(layout.size)
+    covariance[0, layout.bias(0)] = covariance[layout.bias(0), 0] = 0.5
+    predict_clocks(layout, mean, covariance, 1.0, Clocks(clock_free_std_m=3.0).model)
+    assert mean[layout.bias(0)] == 0.0
+    assert covariance[layout.bias(0), layout.bias(0)] == pytest.approx(9.0)
+    assert covariance[0, layout.bias(0)] == 0.0
 
 
 def test_lengths_are_scaled_and_their_derivatives_exact():
