@@ -16,6 +16,7 @@ from estimator.slam.gaussian.integrity import IntegrityModel
 from estimator.slam.gaussian.lifecycle import Lifecycle
 from estimator.slam.gaussian.phase import Phase, Phases
 from estimator.slam.gaussian.reclassification import Reclassification
+from estimator.slam.gaussian.relocation import Relocation
 from estimator.slam.gaussian.sweep_update import SweepMatching
 from estimator.slam.gaussian.update import Corrections, UpdateModel
 from estimator.slam.mixture_reduction import ReduceModel, Reduction, reduction_model
@@ -70,6 +71,8 @@ class GaussianConfig(SettingGroups):
         How corrections are taken.
     sweeps : SweepMatching
         Flashes and walls.
+    relocation : Relocation
+        When the agent is looked for in the map.
     clutter : Clutter
         Intensity of unassociated paths.
     reclassification : Reclassification
@@ -102,6 +105,7 @@ class GaussianConfig(SettingGroups):
     branching: Branching = field(default_factory=Branching)
     corrections: Corrections = field(default_factory=Corrections)
     sweeps: SweepMatching = field(default_factory=SweepMatching)
+    relocation: Relocation = field(default_factory=Relocation)
     clutter: Clutter = field(default_factory=Clutter)
     reclassification: Reclassification = field(default_factory=Reclassification)
     anchors: AnchorSearchConfig = field(default_factory=AnchorSearchConfig)

@@ -43,8 +43,7 @@ from estimator.slam.gaussian.predict import predict
 from estimator.slam.gaussian.reclassification import associated_now
 from estimator.slam.gaussian.start import start
 from estimator.slam.gaussian.state import GaussianState, load_state, save_state
-from estimator.slam.gaussian.sweep_update import take_sweep
-from estimator.slam.gaussian.turns import speed_penalty
+from estimator.slam.gaussian.sweep_stage import follow_sweep
 from estimator.slam.gaussian.update import update_hypotheses
 from estimator.slam.methods import METHODS, Method, note_unused
 from estimator.slam.mixture_reduction import reduce_mixture
@@ -89,6 +88,8 @@ def step(
         If the epoch is not later than the state, or has another number of anchors.
     """
     _check(state, epoch)
+    place_before, std_before = _place(state.hypotheses)
+    reach_m = config.motion.fastest_m_s * (epoch.time_s - state.time_s if state.epoch >= 0 else 0.0)
     phase = phase_of(
         state.buffer.epochs,
         state.shared and state.blind,
@@ -103,7 +104,7 @@ def step(
     earlier = state
     state = _predict(state, epoch, config)
     if epoch.sweep and state.shared:
-        state = _sweep(state, epoch, config, phase)
+        state = follow_sweep(state, epoch, paths, config, phase)
     before, predicted = state.log_evidence, state.hypotheses
     state, explained = _update(state, paths, config)
     state = on_present_clock(state, earlier.hypotheses, config)
@@ -122,9 +123,17 @@ def step(
     state = _bear(state, config, phase)
     reduced = reduce_mixture(state.hypotheses, config.reduce_model(phase, state.layout))
     state = _live_on(state.but(hypotheses=reduced), config, phase)
-    best = state.hypotheses.best
-    std = float(np.sqrt(np.trace(state.hypotheses.covariance[best, :2, :2])))
-    return state.but(indicators=with_epoch(state.indicators, *signs, std, config.integrity))
+    place, std = _place(state.hypotheses)
+    jump_m = float(np.linalg.norm(place - place_before))
+    if jump_m < reach_m + config.integrity.jump_sigma * (std_before + std):
+        jump_m = 0.0
+    return state.but(indicators=with_epoch(state.indicators, *signs, std, jump_m, config.integrity))
+
+
+def _place(hypotheses: Hypotheses) -> tuple[Array, float]:
+    """Where the agent of the likeliest hypothesis is, and its standard deviation, metres."""
+    best = hypotheses.best
+    return hypotheses.mean[best, :2], float(np.sqrt(np.trace(hypotheses.covariance[best, :2, :2])))
 
 
 def _check(state: GaussianState, epoch: Epoch) -> None:
@@ -150,22 +159,6 @@ def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> Gaus
         step_s = epoch.time_s - state.time_s
         hypotheses = predict(state.layout, hypotheses, epoch, step_s, may_turn, config)
     return state.but(epoch=epoch.index, time_s=epoch.time_s, hypotheses=hypotheses)
-
-
-def _sweep(state: GaussianState, epoch: Epoch, config: GaussianConfig, phase: Phase) -> GaussianState:
-    """Take the epoch's sweep; hypotheses that it refutes are dropped before paths are looked at."""
-    often = state.epoch - state.swept_epoch <= config.sweeps.often_epochs
-    state = take_sweep(
-        forget_guesses(state, config) if often else state,
-        epoch.sweep,
-        epoch.heading_held,
-        config.sweeps,
-        config.corrections.most_turn_rad,
-        config.visibility,
-    )
-    swept = state.hypotheses
-    swept = swept._replace(log_weight=swept.log_weight + speed_penalty(swept, config.motion))
-    return state.but(hypotheses=reduce_mixture(swept, config.reduce_model(phase, state.layout)))
 
 
 def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> tuple[GaussianState, Array]:

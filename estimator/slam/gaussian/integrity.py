@@ -15,10 +15,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.slam.models.settings import Settings, any_number, positive, probability
+from estimator.slam.models.settings import Settings, any_number, positive, probability, share
 from estimator.slam.protocol import Integrity
 
-__all__ = ["Indicators", "IntegrityModel", "judged", "no_indicators", "with_epoch"]
+__all__ = [
+    "Indicators",
+    "IntegrityModel",
+    "is_doubtful",
+    "is_suspect",
+    "judged",
+    "no_indicators",
+    "with_epoch",
+]
 
 Array = NDArray[np.float64]
 _LEAST_STD_M = 1e-3  # numerical floor
@@ -41,6 +49,12 @@ class IntegrityModel(Settings):
         29 buildings, a third each with a sweep at every epoch, at every second, and at the start alone.
     doubtful_probability, lost_probability : float
         Probability of being wrong from which a run is doubtful, and lost.
+    suspect_share : float
+        Where more than this share of an epoch's paths is unexplained, the next sweep is held against the
+        whole map.
+    jump_sigma : float
+        An agent that is now farther from where it was than its speed allows, beyond so many standard
+        deviations of both places, was wrong then or is wrong now: it counts as lost.
     model_std_m : float
         Standard deviation of what the models leave out, in the protection level, metres.
     wrong_std_m : float
@@ -57,6 +71,8 @@ class IntegrityModel(Settings):
     odds_std: float = any_number(1.82)
     doubtful_probability: float = probability(0.4)
     lost_probability: float = probability(0.8)
+    suspect_share: float = share(0.5)
+    jump_sigma: float = positive(3.0)
     model_std_m: float = positive(0.05)
     wrong_std_m: float = positive(5.0)
     risk: float = probability(0.001)
@@ -72,17 +88,25 @@ class Indicators(NamedTuple):
         is clutter".
     log_odds : float
         Of being wrong, smoothed.
+    jump_m : float
+        How far the agent jumped when it last did, metres; 0 once nothing is doubtful.
+    latest : float
+        Share of unexplained paths at the latest epoch that had any of located anchors.
     """
 
     paths: float
     unexplained: float
     log_evidence: float
     log_odds: float
+    jump_m: float
+    latest: float
 
 
 def no_indicators(model: IntegrityModel) -> Indicators:
     """Those of a run that has not begun: it stands where it starts."""
-    return Indicators(0.0, 0.0, 0.0, model.odds_offset + model.odds_std * float(np.log(model.model_std_m)))
+    return Indicators(
+        0.0, 0.0, 0.0, model.odds_offset + model.odds_std * float(np.log(model.model_std_m)), 0.0, 0.0
+    )
 
 
 def with_epoch(
@@ -91,6 +115,7 @@ def with_epoch(
     unexplained: float,
     log_evidence: float,
     std_m: float,
+    jump_m: float,
     model: IntegrityModel,
 ) -> Indicators:
     """The indicators after an epoch.
@@ -103,6 +128,8 @@ def with_epoch(
         As in :class:`Indicators`, of the epoch alone.
     std_m : float
         Standard deviation of the position, metres.
+    jump_m : float
+        How far the agent moved, metres, where it is farther than it can; otherwise 0.
     model : IntegrityModel
         Weights.
     """
@@ -113,8 +140,27 @@ def with_epoch(
     odds = model.odds_offset + model.odds_std * float(np.log(max(std_m, _LEAST_STD_M)))
     if heard >= 1.0:
         odds += model.odds_unexplained * lacking / heard + model.odds_evidence * evidence / heard
-    share = 1.0 / model.smoothing_epochs
-    return Indicators(heard, lacking, evidence, (1.0 - share) * now.log_odds + share * odds)
+    weight = 1.0 / model.smoothing_epochs
+    odds = (1.0 - weight) * now.log_odds + weight * odds
+    if jump_m > 0.0:
+        odds = max(odds, _log_odds(model.lost_probability) + 1.0)
+    latest = unexplained / paths if paths >= 1.0 else now.latest
+    after = Indicators(heard, lacking, evidence, odds, jump_m or now.jump_m, latest)
+    return after if is_doubtful(after, model) else after._replace(jump_m=0.0)
+
+
+def is_doubtful(now: Indicators, model: IntegrityModel) -> bool:
+    """Whether a run is doubtful or lost."""
+    return now.log_odds > _log_odds(model.doubtful_probability)
+
+
+def is_suspect(now: Indicators, model: IntegrityModel) -> bool:
+    """Whether a run is doubtful, or its latest paths speak against it."""
+    return is_doubtful(now, model) or now.latest > model.suspect_share
+
+
+def _log_odds(probability: float) -> float:
+    return float(np.log(probability / (1.0 - probability)))
 
 
 def judged(now: Indicators, covariance_m2: Array, model: IntegrityModel) -> Integrity:
@@ -138,6 +184,8 @@ def judged(now: Indicators, covariance_m2: Array, model: IntegrityModel) -> Inte
         std = float(np.sqrt(np.trace(covariance_m2)))
         if model.odds_offset + model.odds_std * np.log(std + _LEAST_STD_M) > -1.0:
             reasons.append(f"the position is known to {std:.2g} m only")
+        if now.jump_m > 0.0:
+            reasons.append(f"the position jumped by {now.jump_m:.2g} m")
     return Integrity(state, 1.0 - wrong, level, tuple(reasons))
 
 

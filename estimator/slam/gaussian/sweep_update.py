@@ -115,16 +115,16 @@ def _update(
     noise: Array,
     held: bool,
     model: MatchModel,
-) -> tuple[int, Index, Array]:
+) -> tuple[int, Index, Index, Array]:
     """Correct the first ``before`` hypotheses in place; the others are room for rivals of doubtful matches.
 
-    How many there are then, the walls (R, J) of each one's flashes, residuals (R, 2).
+    How many there are then, which one (R,) each was, the walls (R, J) of its flashes, residuals (R, 2).
     """
     flashes, n = seen.shape[0], hypotheses.mean.shape[1]
     label, residual = np.empty((2 * before, flashes), dtype=np.int64), np.empty((2 * before, 2))
     back, spread = np.empty(seen.shape), np.empty(noise.shape)
     slot = np.empty(flashes, dtype=np.int64)
-    count = before
+    count, parent = before, np.arange(2 * before)
     forced = np.empty(2, dtype=np.int64)
     for r in range(before):
         mean, covariance = hypotheses.mean[r].copy(), hypotheses.covariance[r].copy()
@@ -163,6 +163,7 @@ def _update(
                 residual[at],
             )
             if attempt:
+                parent[at] = r
                 hypotheses.located[at], hypotheses.present[at] = hypotheses.located[r], hypotheses.present[r]
                 hypotheses.visibility[at], hypotheses.support[at] = hypotheses.visibility[r], support
                 count += 1
@@ -184,7 +185,7 @@ def _update(
             if not margin < model.rival_nats:
                 break
             forced[0], forced[1] = flash, wall
-    return count, label, residual
+    return count, parent, label, residual
 
 
 def take_sweep(
@@ -194,7 +195,7 @@ def take_sweep(
     model: SweepMatching,
     most_turn_rad: float,
     visibility: Visibility,
-) -> GaussianState:
+) -> tuple[GaussianState, Index]:
     """Take the flashes of a sweep into all hypotheses.
 
     Parameters
@@ -214,10 +215,13 @@ def take_sweep(
 
     Returns
     -------
-    GaussianState
+    state : GaussianState
+        With the hypotheses corrected, and rivals of doubtful matches after them.
+    parent : ndarray of int64, shape (R,)
+        Which hypothesis each one was.
     """
     if not sweep:
-        return state
+        return state, np.arange(state.hypotheses.number)
     to_gauge = rotation_matrix(-state.bearing_rad)
     seen = np.array([wall.mean_m for wall in sweep]) @ to_gauge.T
     scale = float(state.echo_residuals[0] / state.echo_residuals[1])
@@ -225,7 +229,7 @@ def take_sweep(
     scale = min(max(scale, model.least_echo_scale), model.most_echo_scale)
     noise *= scale
     room = state.hypotheses.take(np.tile(np.arange(state.hypotheses.number), 2))
-    count, label, residual = _update(
+    count, parent, label, residual = _update(
         state.layout, room, state.hypotheses.number, seen, noise, heading_held, model.compiled(most_turn_rad)
     )
     corrected, label = room.take(np.arange(count)), label[:count]
@@ -250,7 +254,7 @@ def take_sweep(
         for j in range(len(seen)):
             if weight[label[:, j] == -1].sum() > model.least_new_weight:
                 state = _enter(state, np.flatnonzero(label[:, j] == -1), seen[j], noise[j], visibility)
-    return state
+    return state, parent[:count]
 
 
 def _enter(

@@ -32,8 +32,7 @@ def with_turns(hypotheses: Hypotheses, step_s: float, motion: Motion) -> Hypothe
     turned.mean[:, speed] = 0.0
     turned.covariance[:, speed, :] = 0.0
     turned.covariance[:, :, speed] = 0.0
-    std = 0.5 * motion.max_speed_m_s or motion.velocity_std_m_s
-    turned.covariance[:, speed, speed] = std**2 * np.eye(2)
+    turned.covariance[:, speed, speed] = motion.speed_std_m_s**2 * np.eye(2)
     turned.log_weight[...] += np.log(chance)
     straight = hypotheses._replace(log_weight=hypotheses.log_weight + np.log1p(-chance))
     return straight.joined(turned)

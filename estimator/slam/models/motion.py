@@ -59,6 +59,18 @@ class Motion(Settings):
     body_turn_std_rad: float = not_negative(0.3)
     start_std_m: float = not_negative(0.0)
 
+    @property
+    def speed_std_m_s(self) -> float:
+        """Standard deviation per axis of a velocity of which nothing else is known, metres a second."""
+        return 0.5 * self.max_speed_m_s or self.velocity_std_m_s
+
+    @property
+    def fastest_m_s(self) -> float:
+        """A speed that the agent never has, metres a second."""
+        if self.max_speed_m_s > 0.0:
+            return self.max_speed_m_s * (1.0 + 2.0 * self.speed_slack)
+        return 5.0 * self.velocity_std_m_s
+
     def driving(self, step_s: float) -> Driving:
         """What becomes of velocity in a step, and the covariance per axis that the driving noise adds."""
         q, memory = self.acceleration_density, self.velocity_memory_s

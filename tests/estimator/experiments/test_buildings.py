@@ -16,6 +16,7 @@ from estimator.experiments.buildings import report_of, summary_of
 from estimator.experiments.report import write_report
 from estimator.measurement_files import load_measurements
 from estimator.measurements import MeasurementSet
+from estimator.slam.run import run_slam
 
 HERE = Path(__file__).parent / "buildings"
 KINDS = ("suite", "aisles", "shops")
@@ -145,3 +146,23 @@ def test_one_sweep_is_not_lost_in_silence(kind: str) -> None:
     score = run.scores["hybrid"]
     assert score is not None
     assert not score.silent
+
+
+def test_an_agent_put_elsewhere_is_flagged_and_found_again() -> None:
+    """Unannounced, in a building that it has mapped: within three sweeps, and the run says so."""
+    measured = load_measurements(HERE / "shops-measured.nc")
+    with xr.open_dataset(HERE / "shops-truth.nc") as truth:
+        track = truth["track_m"].values[:, :2] - truth["track_m"].values[0, :2]
+    middle, step_s = len(track) // 2, measured.epochs[1].time_s - measured.epochs[0].time_s
+    order = [*range(middle), *range(middle // 3, middle // 3 + 8)]
+    epochs = tuple(
+        replace(measured.epochs[one], index=number, time_s=measured.epochs[0].time_s + number * step_s)
+        for number, one in enumerate(order)
+    )
+    result = run_slam(replace(measured, epochs=epochs))
+    error = np.linalg.norm(result.agent_mean[:, :2] - track[order], axis=1)
+    assert np.linalg.norm(track[order[middle]] - track[order[middle - 1]]) > 2.0
+    assert error[:middle].max() < 0.5
+    assert error[middle + 2 :].max() < 0.5
+    assert not result.flagged[:middle].any()
+    assert result.flagged[middle : middle + 5].any()

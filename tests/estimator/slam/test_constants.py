@@ -17,6 +17,7 @@ ALLOWED = {
     "gaussian/sweep_update.py": {"_ANY_HEADING_RAD2", "_QUARTER"},
     # numerical floors
     "gaussian/integrity.py": {"_LEAST_STD_M"},
+    "gaussian/relocation.py": {"_LEAST_M"},
     "gaussian/anchor_survey.py": {"_KNOWN_M2"},
     # rounding at which an iteration stops
     "association/belief_propagation.py": {"ITERATIONS", "_SETTLED"},

@@ -60,7 +60,7 @@ def test_a_bad_flash_of_a_known_wall_is_no_new_wall(room, sigma, entered):
     to_agent = rotation_matrix(state.bearing_rad)
     off = flash[0] + sigma * np.linalg.cholesky(spread)[:, 0]
     models = engine.models
-    after = take_sweep(
+    after, _ = take_sweep(
         state,
         [GaussianVrp(to_agent @ off, noise)],
         True,

@@ -37,7 +37,7 @@ def swept(state, seen, held=True, turn=0.0, most_turn=0.0):
     """The state after flashes, given in the gauge frame's axes; the agent's are turned by ``turn``."""
     to_agent = rotation_matrix(state.bearing_rad + turn)
     sweep = [GaussianVrp(to_agent @ flash, to_agent @ NOISE @ to_agent.T) for flash in seen]
-    return take_sweep(state, sweep, held, CONFIG.sweeps, most_turn, CONFIG.visibility)
+    return take_sweep(state, sweep, held, CONFIG.sweeps, most_turn, CONFIG.visibility)[0]
 
 
 def dense(state, innovation, heading):
