@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.geometry import vrp_of_line
+from estimator.geometry import segments_cross, vrp_of_line
 from estimator.joint_map import JointMap
-from estimator.measurements import AnchorPaths, Epoch, MeasurementSet
+from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.result import SlamResult
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
@@ -30,6 +30,21 @@ def lines_of(plan: FloorPlan, among: list[str] | None = None) -> tuple[np.ndarra
     return np.array(found).reshape(-1, 2), line
 
 
+def _flashes(plan: FloorPlan, line: np.ndarray, agent: np.ndarray, rng: np.random.Generator) -> tuple:
+    """The agent's images in the walls that it faces at right angles and sees, relative to it."""
+    start, end = plan.walls_m()
+    along = end - start
+    share = np.sum((agent - start) * along, axis=1) / np.sum(along**2, axis=1)
+    foot = start + share[:, None] * along
+    found = []
+    for wall in np.flatnonzero((share > 0.0) & (share < 1.0) & (line >= 0)):
+        others = np.arange(len(start)) != wall
+        if not segments_cross(agent, foot[wall], start[others], end[others]).any():
+            image = 2.0 * (foot[wall] - agent) + STD_M * rng.standard_normal(2)
+            found.append(GaussianVrp(image, STD_M**2 * np.eye(2)))
+    return tuple(found)
+
+
 def mapped_run(
     plan: FloorPlan,
     rng: np.random.Generator,
@@ -37,10 +52,12 @@ def mapped_run(
     among: list[str] | None = None,
     mistaken: float = 0.0,
     offset_db: float = 0.0,
+    sweeps: bool = False,
 ) -> tuple[SlamResult, MeasurementSet]:
     """A smoothed run along every ``stride``-th position, and what it was made of.
 
-    ``among`` names the walls that were mapped; a share of double bounces is ``mistaken`` for another's.
+    ``among`` names the walls that were mapped; a share of double bounces is ``mistaken`` for another's. With
+    ``sweeps`` every position sees the mapped walls that lie straight before it.
     """
     track = plan.track()[::stride]
     paths = image_paths(plan, track)
@@ -81,7 +98,8 @@ def mapped_run(
                 columns["walls"].append([*lines, -1, -1][:2])
                 columns["gain"].append(gain[number])
                 columns["length"].append(length[number])
-        heard.append(Epoch(t, float(t), tuple(of_anchors)))
+        sweep = _flashes(plan, line, track[t, :2], rng) if sweeps else ()
+        heard.append(Epoch(t, float(t), tuple(of_anchors), sweep))
     rise = plan.anchors_m()[:, 2] - plan.agent.height_m
     here = plan.anchors_m()[:, :2] - track[0, :2]
     size = 2 * (anchors + count)

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.joint_map import JointMap
 from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
-from estimator.twin.sightings import joint_of
+from estimator.twin.sightings import Sightings, joint_of
 from estimator.twin.unfolding import unfold
 from estimator.waveform import free_space_loss_db
 
-__all__ = ["BounceSamples", "bounce_samples", "gain_noise_db", "gain_offsets"]
+__all__ = ["BounceSamples", "bounce_samples", "gain_noise_db", "gain_offsets", "gaps_to_neighbours"]
 
 Array = NDArray[np.float64]
 
@@ -46,43 +45,89 @@ class BounceSamples:
     noise_db: Array
 
 
-def gain_noise_db(measurements: MeasurementSet, epoch: int, anchor: int, number: int) -> float:
-    """Standard deviation of a measured path's gain, dB, by its distance from the next one."""
-    lengths = measurements.epochs[epoch].paths[anchor].range_m
-    gap = np.abs(np.delete(lengths, number) - lengths[number]).min(initial=np.inf)
-    return float(_NOISE_DB[np.searchsorted(_NEIGHBOUR_M, gap, side="right")])
+def gain_noise_db(gap_m: Array) -> Array:
+    """Standard deviation of the gains of paths by how far the next path is, dB.
+
+    Parameters
+    ----------
+    gap_m : ndarray
+        Difference of length to the next path that was measured, or that the map expects: two that are
+        not resolved are measured as one.
+    """
+    return np.asarray(_NOISE_DB[np.searchsorted(_NEIGHBOUR_M, gap_m, side="right")])
 
 
-def gain_offsets(result: SlamResult, measurements: MeasurementSet) -> tuple[Array, Array]:
-    """Offset (K,) of each anchor's gains against free space, from its lines of sight, and its deviation, dB.
+def gaps_to_neighbours(
+    result: SlamResult, measurements: MeasurementSet, sights: Sightings, expected: NDArray[np.bool_]
+) -> Array:
+    """Difference of length (N,) of each associated path to the next, 0 where nobody looked.
 
-    Zero and infinity for anchors without a clean line of sight.
+    Parameters
+    ----------
+    result, measurements
+        The run.
+    sights : Sightings
+        Where it was looked at.
+    expected : ndarray of bool, shape (T, K, F)
+        Paths that its walls would give there.
     """
     joint = joint_of(result)
-    offset, std = np.zeros(len(result.anchors)), np.full(len(result.anchors), np.inf)
-    direct = (joint.path_walls[:, 0] < 0) & np.isfinite(joint.path_gain_db)
-    for k in range(len(result.anchors)):
-        mine = np.flatnonzero(direct & (joint.path_anchor == k))
-        noise = np.array([_noise(joint, measurements, int(i)) for i in mine])
-        clean = mine[noise <= _NOISE_DB[2]] if len(mine) else mine
-        if len(clean):
-            length = joint.path_length_m[clean] - joint.anchor_bias_m[k]
-            loss = joint.path_gain_db[clean] + free_space_loss_db(length, joint.carrier_hz)
-            offset[k] = np.median(loss)
-            spread = 1.4826 * float(np.median(np.abs(loss - offset[k])))
-            std[k] = max(spread, _NOISE_DB[3]) / np.sqrt(len(clean))
-    return offset, std
+    gap, row = np.zeros(len(joint.path_epoch)), np.full(len(result.epoch), -1)
+    row[sights.epoch] = np.arange(len(sights.epoch))
+    number = {(int(a), int(b)): f for f, (a, b) in enumerate(sights.unfolded.walls)}
+    for i in range(len(gap)):
+        t, k = int(joint.path_epoch[i]), int(joint.path_anchor[i])
+        feature = number.get((int(joint.path_walls[i, 0]), int(joint.path_walls[i, 1])), -1)
+        if row[t] < 0 or feature < 0:
+            continue
+        others = expected[row[t], k].copy()
+        others[feature] = False
+        lengths = sights.length_m[row[t], k]
+        measured = np.delete(measurements.epochs[t].paths[k].range_m, joint.path_number[i])
+        gap[i] = min(
+            np.abs(measured - joint.path_length_m[i]).min(initial=np.inf),
+            np.abs(lengths[others] - lengths[feature]).min(initial=np.inf),
+        )
+    return gap
 
 
-def bounce_samples(result: SlamResult, measurements: MeasurementSet, offset_db: Array) -> BounceSamples:
-    """The clean single bounces of a smoothed run.
+def gain_offsets(result: SlamResult, noise_db: Array, prior_std_db: float) -> tuple[Array, Array]:
+    """Offset (K,) of each anchor's gains against free space, from its lines of sight, and its deviation, dB.
 
     Parameters
     ----------
     result : SlamResult
         A smoothed run.
-    measurements : MeasurementSet
-        What it was made of.
+    noise_db : ndarray, shape (N,)
+        Standard deviation of the gain of each associated path.
+    prior_std_db : float
+        What is believed of offsets beforehand; 0 where gains are calibrated: then they are 0.
+    """
+    joint = joint_of(result)
+    offset, std = np.zeros(len(result.anchors)), np.full(len(result.anchors), prior_std_db)
+    if prior_std_db == 0.0:
+        return offset, std
+    direct = (joint.path_walls[:, 0] < 0) & np.isfinite(joint.path_gain_db) & (noise_db <= _NOISE_DB[2])
+    for k in range(len(result.anchors)):
+        clean = direct & (joint.path_anchor == k)
+        if clean.any():
+            length = joint.path_length_m[clean] - joint.anchor_bias_m[k]
+            loss = joint.path_gain_db[clean] + free_space_loss_db(length, joint.carrier_hz)
+            offset[k] = np.median(loss)
+            spread = 1.4826 * float(np.median(np.abs(loss - offset[k])))
+            std[k] = max(spread, _NOISE_DB[3]) / np.sqrt(clean.sum())
+    return offset, std
+
+
+def bounce_samples(result: SlamResult, noise_db: Array, offset_db: Array) -> BounceSamples:
+    """The single bounces of a smoothed run.
+
+    Parameters
+    ----------
+    result : SlamResult
+        A smoothed run.
+    noise_db : ndarray, shape (N,)
+        Standard deviation of the gain of each associated path.
     offset_db : ndarray, shape (K,)
         From :func:`gain_offsets`.
     """
@@ -102,18 +147,5 @@ def bounce_samples(result: SlamResult, measurements: MeasurementSet, offset_db: 
     vertex[:, 1, 2] = height * (1.0 - first / np.maximum(whole, 1e-9))
     length = joint.path_length_m[single] - joint.anchor_bias_m[anchor]
     loss = -joint.path_gain_db[single] - free_space_loss_db(length, joint.carrier_hz) + offset_db[anchor]
-    noise = np.array([_noise(joint, measurements, int(i)) for i in single])
     usable = np.isfinite(vertex).all(axis=(1, 2)) & paths.possible[epoch, anchor, 1 + wall]
-    return BounceSamples(
-        wall[usable],
-        anchor[usable],
-        vertex[usable],
-        loss[usable],
-        noise[usable] if len(noise) else np.zeros(0),
-    )
-
-
-def _noise(joint: JointMap, measurements: MeasurementSet, i: int) -> float:
-    return gain_noise_db(
-        measurements, int(joint.path_epoch[i]), int(joint.path_anchor[i]), int(joint.path_number[i])
-    )
+    return BounceSamples(wall[usable], anchor[usable], vertex[usable], loss[usable], noise_db[single][usable])

@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 from estimator.errors import InputError
 from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
-from estimator.twin.bounces import BounceSamples, bounce_samples, gain_offsets
+from estimator.twin.bounces import (
+    BounceSamples,
+    bounce_samples,
+    gain_noise_db,
+    gain_offsets,
+    gaps_to_neighbours,
+)
 from estimator.twin.ends import EndSearch, label_lines
 from estimator.twin.expected import expected_paths
 from estimator.twin.missing import supported
@@ -37,12 +43,16 @@ class TwinConfig:
         Which gaps are closed.
     shadows : ShadowSearch
         How obstacles are looked for.
+    gain_offset_std_db : float
+        Standard deviation of the anchors' gain offsets before anything is heard, where the run does not state
+        its own; 0 if gains are calibrated.
     """
 
     hearing: Hearing = field(default_factory=Hearing)
     ends: EndSearch = field(default_factory=EndSearch)
     closing: Closing = field(default_factory=Closing)
     shadows: ShadowSearch = field(default_factory=ShadowSearch)
+    gain_offset_std_db: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +151,9 @@ def build_twin(result: SlamResult, measurements: MeasurementSet, config: TwinCon
     walls = (*closed, *kept)
     expected = expected_paths(sights.unfolded, vrps, walls)
     obstacles = find_obstacles(sights, expected, _main_axis(closed), config.shadows)
-    offset, offset_std = gain_offsets(result, measurements)
+    noise = gain_noise_db(gaps_to_neighbours(result, measurements, sights, expected))
+    stated = result.settings.get("slam", {}).get("gain_offset_std_db", config.gain_offset_std_db)
+    offset, offset_std = gain_offsets(result, noise, float(stated))
     return TwinMap(
         walls,
         tuple(obstacles),
@@ -150,15 +162,17 @@ def build_twin(result: SlamResult, measurements: MeasurementSet, config: TwinCon
         result.time_s,
         float(result.rotation_std_rad[-1]),
         joint.carrier_hz,
-        bounce_samples(result, measurements, offset),
+        bounce_samples(result, noise, offset),
     )
 
 
 def heard_legs(sights: Sightings) -> Array:
-    """Legs (N, 2, 2) of all lines of sight and single bounces that were heard."""
+    """Legs (N, 2, 2) of all lines of sight and single bounces that were heard, and of the track."""
     few = np.sum(sights.unfolded.walls >= 0, axis=1) < 2
     vertex = sights.unfolded.vertex_m[sights.heard & few]
     legs = np.stack([vertex[:, :-1], vertex[:, 1:]], axis=2).reshape(-1, 2, 2)
+    track = sights.unfolded.vertex_m[:, 0, 0, -1]
+    legs = np.concatenate([legs, np.stack([track[:-1], track[1:]], axis=1)])
     return np.asarray(legs[np.linalg.norm(legs[:, 1] - legs[:, 0], axis=1) > 1e-9])
 
 

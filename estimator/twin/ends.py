@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import ConfigurationError
 from estimator.twin.sightings import Sightings
-from estimator.twin.unfolding import crossing_points
+from estimator.twin.unfolding import crossing_points, line_frames
 
 __all__ = ["EndSearch", "Entries", "LabelledLines", "LineCells", "label_lines", "line_cells"]
 
@@ -37,10 +37,17 @@ class EndSearch:
     heard_single, heard_double : float
         A heard path that an end contradicts: line of sight and single bounces are hardly ever taken for
         another path, double bounces sometimes.
-    silent : float
-        A silent path that nothing explains: paths are missed, and successive misses have one cause.
+    silent, silent_run : float
+        A silent path that nothing explains, and successive ones of one feature together at most: they
+        may have another cause.
     corner, free_end : float
         A change between wall and open where another wall is met, and elsewhere.
+    flash : float
+        A wall that a sweep saw at right angles, contradicted: hardly ever anything else.
+    walked : float
+        A place where the agent walked through a wall: it did not.
+    clearance_m : float
+        Half the width that it needs.
     open_per_m : float
         A metre of wall of which nothing is known: walls reach to the nearest corner, not to the farthest.
     cell_m : float
@@ -54,8 +61,12 @@ class EndSearch:
     heard_single: float = 1.5
     heard_double: float = 0.5
     silent: float = 0.3
+    silent_run: float = 4.0
     corner: float = 1.0
     free_end: float = 5.0
+    flash: float = 1.5
+    walked: float = 20.0
+    clearance_m: float = 0.2
     open_per_m: float = 0.03
     cell_m: float = 0.25
     margin_m: float = 8.0
@@ -182,8 +193,9 @@ def label_lines(sights: Sightings, vrps_m: Array, config: EndSearch | None = Non
     config = config or EndSearch()
     cells = line_cells(sights, vrps_m, config)
     double, prices = np.sum(sights.unfolded.walls >= 0, axis=1) > 1, _prices(sights, config)
-    heard = _entries(sights, sights.heard & ~double, prices)
-    silent = _entries(sights, sights.silent, np.full(sights.silent.shape, config.silent))
+    heard = _entries(sights, sights.heard & ~double, prices).joined(_walked(sights, vrps_m, config))
+    heard = heard.joined(_flashed(sights, vrps_m, config))
+    silent = _entries(sights, sights.silent, _silence_prices(sights.silent, config))
     doubtful = _entries(sights, sights.heard & double, prices)
     labels = [
         _cheapest(_unary(heard, line, cells[line]), cells[line], _changes(line, cells, None, config), config)
@@ -209,6 +221,18 @@ def _prices(sights: Sightings, config: EndSearch) -> Array:
     return np.where(double, config.heard_double, config.heard_single) * sights.weight
 
 
+def _silence_prices(silent: Mask, config: EndSearch) -> Array:
+    """What silent paths (T, K, F) cost, successive ones of a feature less."""
+    price = np.full(silent.shape, config.silent)
+    begins = np.diff(silent.astype(np.int8), axis=0, prepend=0) == 1
+    run = np.cumsum(begins, axis=0)
+    for k, f in zip(*np.nonzero(silent.any(axis=0)), strict=True):
+        mine = silent[:, k, f]
+        length = np.bincount(run[mine, k, f])
+        price[mine, k, f] *= np.minimum(1.0, config.silent_run / (config.silent * length[run[mine, k, f]]))
+    return price
+
+
 def _entries(sights: Sightings, which: Mask, price: Array) -> Entries:
     """The bounces and crossings of some paths."""
     paths = sights.unfolded
@@ -223,6 +247,49 @@ def _entries(sights: Sightings, which: Mask, price: Array) -> Entries:
         np.concatenate([bounce[on], crossing[off]]),
         np.concatenate([np.ones(len(on[0]), dtype=bool), np.zeros(len(off[0]), dtype=bool)]),
         np.concatenate([own[on[0]], own[off[0]]]),
+    )
+
+
+def _walked(sights: Sightings, vrps_m: Array, config: EndSearch) -> Entries:
+    """Openings that the agent's track needs."""
+    track = sights.unfolded.vertex_m[:, 0, 0, -1]
+    foot, tangent, normal = line_frames(vrps_m)
+    side = track @ normal.T - np.sum(foot * normal, axis=1)
+    along = track @ tangent.T - np.sum(foot * tangent, axis=1)
+    step, line = np.nonzero(side[:-1] * side[1:] < 0.0)
+    before, after = side[step, line], side[step + 1, line]
+    place = along[step, line] + before / (before - after) * (along[step + 1, line] - along[step, line])
+    width = config.clearance_m * np.array([-1.0, 0.0, 1.0])
+    places = (place[:, None] + width).ravel()
+    return Entries(
+        np.full(len(places), -1),
+        np.repeat(line, len(width)),
+        places,
+        np.zeros(len(places), dtype=bool),
+        np.full(len(places), config.walked),
+    )
+
+
+def _flashed(sights: Sightings, vrps_m: Array, config: EndSearch) -> Entries:
+    """What sweeps ask for: wall at the foot of the perpendicular, and nothing before it."""
+    foot, tangent, normal = line_frames(vrps_m)
+    agent, wall = sights.unfolded.vertex_m[sights.flash_row, 0, 0, -1], sights.flash_wall
+    own = np.sum((agent - foot[wall]) * tangent[wall], axis=1)
+    point = foot[wall] + own[:, None] * tangent[wall]
+    start = agent @ normal.T - np.sum(foot * normal, axis=1)
+    end = point @ normal.T - np.sum(foot * normal, axis=1)
+    crossed = (start * end < 0.0) & (np.arange(len(foot)) != wall[:, None])
+    number, line = np.nonzero(crossed)
+    share = start[number, line] / (start[number, line] - end[number, line])
+    place = agent[number] + share[:, None] * (point[number] - agent[number])
+    off = np.sum((place - foot[line]) * tangent[line], axis=1)
+    count = len(wall) + len(line)
+    return Entries(
+        np.full(count, -1),
+        np.concatenate([wall, line]),
+        np.concatenate([own, off]),
+        np.arange(count) < len(wall),
+        np.full(count, config.flash),
     )
 
 

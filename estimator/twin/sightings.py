@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.errors import ConfigurationError, InputError
+from estimator.geometry import mirror
 from estimator.joint_map import JointMap
 from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
@@ -89,6 +90,8 @@ class Sightings:
         How far what was heard belongs to its feature: 1, less where others would be as long.
     length_m : ndarray, shape (T, K, F)
         Slanted lengths, heights and clock biases included.
+    flash_row, flash_wall : ndarray of int64, shape (N,)
+        Positions from which a sweep saw a wall at right angles, and the wall.
     """
 
     epoch: NDArray[np.int64]
@@ -97,6 +100,8 @@ class Sightings:
     silent: Mask
     weight: Array
     length_m: Array
+    flash_row: NDArray[np.int64]
+    flash_wall: NDArray[np.int64]
 
 
 def joint_of(result: SlamResult) -> JointMap:
@@ -160,7 +165,30 @@ def sightings(result: SlamResult, measurements: MeasurementSet, config: Hearing 
                     gap < np.maximum(reach, config.margin_sigma * epoch.paths[k].range_std_m), axis=1
                 )
     silent = usable & strong & ~near & ~heard
-    return Sightings(rows, paths, heard & usable, silent, _weights(length, usable, config), length)
+    flashes = _flashes(result, measurements, rows, config)
+    return Sightings(rows, paths, heard & usable, silent, _weights(length, usable, config), length, *flashes)
+
+
+def _flashes(
+    result: SlamResult, measurements: MeasurementSet, rows: NDArray[np.int64], config: Hearing
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and walls (N,) of what sweeps saw: each flash is that of the nearest wall within the margin."""
+    vrps, found = result.wall_mean_m[-1], []
+    for i, t in enumerate(rows):
+        epoch = measurements.epochs[t]
+        sweep = (*measurements.walls, *epoch.sweep) if t == 0 else epoch.sweep
+        if not sweep or not epoch.heading_held:
+            continue
+        agent = result.agent_mean[t, :2]
+        images = mirror(agent, vrps) - agent
+        for flash in sweep:
+            gap = images - flash.mean_m
+            spread = flash.covariance_m2 + (2.0 * config.margin_m) ** 2 * np.eye(2)
+            square = np.sum(gap * np.linalg.solve(spread, gap.T).T, axis=1)
+            if square.min() < config.margin_sigma**2:
+                found.append((i, int(square.argmin())))
+    table = np.array(found, dtype=np.int64).reshape(-1, 2)
+    return table[:, 0], table[:, 1]
 
 
 def _heard(joint: JointMap, paths: Unfolded, epochs: int) -> Mask:

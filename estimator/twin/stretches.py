@@ -37,6 +37,9 @@ class Stretch:
         The line that each end meets; -1 where none is.
     std_m : tuple of float
         Standard deviation of each end's place (of the larger axis); NaN where it was not observed.
+    cuts_m : tuple of float
+        Where other walls meet it between its ends, as distances from the first end: what it is made of may
+        change there.
     """
 
     line: int
@@ -44,6 +47,7 @@ class Stretch:
     kinds: tuple[str, str]
     meets: tuple[int, int]
     std_m: tuple[float, float]
+    cuts_m: tuple[float, ...] = ()
 
     @property
     def length_m(self) -> float:
@@ -67,6 +71,8 @@ class Closing:
         Fewer expected reflections say nothing.
     near_m : float
         A measured path within this of an expected reflection supports it.
+    doorway_m : float
+        An end that faces another stretch of its own line within this is a doorway's, and not closed.
     shortest_m : float
         Stretches shorter than this are dropped: they rest on single paths.
     """
@@ -76,10 +82,11 @@ class Closing:
     least_support: float = 0.3
     least_expected: int = 4
     near_m: float = 0.15
+    doorway_m: float = 4.0
     shortest_m: float = 0.3
 
     def __post_init__(self) -> None:
-        for name in ("longest_m", "parallel_rad", "least_support", "near_m", "shortest_m"):
+        for name in ("longest_m", "parallel_rad", "least_support", "near_m", "doorway_m", "shortest_m"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ConfigurationError(f"{name}: expected a positive number, got {getattr(self, name)}")
 
@@ -120,10 +127,25 @@ def wall_stretches(
                 stds.append(std)
             if places[1] - places[0] >= shortest_m:
                 ends = foot[line] + np.array(places)[:, None] * tangent[line]
+                cuts = _cuts(labelled, line, first, last, places[0])
                 found.append(
-                    Stretch(line, ends, (kinds[0], kinds[1]), (meets[0], meets[1]), (stds[0], stds[1]))
+                    Stretch(line, ends, (kinds[0], kinds[1]), (meets[0], meets[1]), (stds[0], stds[1]), cuts)
                 )
     return found
+
+
+def _cuts(labelled: LabelledLines, line: int, first: int, last: int, from_m: float) -> tuple[float, ...]:
+    """Where other walls meet a stretch of cells between its ends, from its first end on."""
+    cells = labelled.cells[line]
+    cuts = []
+    for bound in range(first + 1, last):
+        other = int(cells.corner[bound])
+        if other < 0:
+            continue
+        at = np.flatnonzero(labelled.cells[other].corner == line)
+        if any(labelled.wall[other][max(i - 1, 0) : i + 1].any() for i in at):
+            cuts.append(float(cells.bound_m[bound]) - from_m)
+    return tuple(cuts)
 
 
 def corner_std(vrps_m: Array, covariance_m2: Array, line: int, other: int) -> float:
@@ -174,8 +196,8 @@ def close_gaps(
 ) -> tuple[list[Stretch], list[Stretch]]:
     """Walls that join open ends that face each other, and the stretches with these ends changed.
 
-    Of parallel lines the wall between is at right angles, from the end that is known better; else it is
-    straight. It must not be crossed by anything that was heard.
+    Lines that meet beyond both ends go on to their corner. Of parallel lines the wall between is at right
+    angles, from the end that is known better; else it is straight. It must not be crossed by anything heard.
 
     Parameters
     ----------
@@ -191,7 +213,12 @@ def close_gaps(
     stretches, assumed : list of Stretch
     """
     config = config or Closing()
-    ends = [(i, e) for i, s in enumerate(stretches) for e in (0, 1) if s.kinds[e] == OPEN]
+    ends = [
+        (i, e)
+        for i, s in enumerate(stretches)
+        for e in (0, 1)
+        if s.kinds[e] == OPEN and not _at_doorway(stretches, i, e, config.doorway_m)
+    ]
     changed, assumed = list(stretches), []
     pairs = []
     for n, (i, e) in enumerate(ends):
@@ -206,9 +233,18 @@ def close_gaps(
             continue
         if not _better_known(stretches[i].std_m[e], stretches[j].std_m[g]):
             i, e, j, g = j, g, i, e
+        meet = _corner(stretches[i], e, stretches[j], g, config)
+        if meet is not None:
+            if not any(_crossed(stretches[a].ends_m[b], meet, heard_m) for a, b in ((i, e), (j, g))):
+                changed[i] = _with_end(changed[i], e, meet, float("nan"))
+                changed[j] = _with_end(changed[j], g, meet, float("nan"))
+                taken |= {(i, e), (j, g)}
+            continue
         start = stretches[i].ends_m[e]
         finish = _opposite(stretches[i], e, stretches[j], g, config.parallel_rad)
         if np.linalg.norm(finish - start) < config.shortest_m:
+            continue
+        if _folds_back(stretches[i], e, finish - start) or _folds_back(stretches[j], g, start - finish):
             continue
         if _crossed(start, finish, heard_m) or _crossed(stretches[j].ends_m[g], finish, heard_m):
             continue
@@ -220,8 +256,38 @@ def close_gaps(
     return changed, assumed
 
 
+def _folds_back(stretch: Stretch, end: int, along: Array) -> bool:
+    """Whether a wall that leads on from an end runs back beside the stretch."""
+    outward = stretch.ends_m[end] - stretch.ends_m[1 - end]
+    return float(outward @ along) < -0.5 * float(np.linalg.norm(outward) * np.linalg.norm(along))
+
+
+def _at_doorway(stretches: list[Stretch], i: int, e: int, doorway_m: float) -> bool:
+    """Whether the end ``e`` of a stretch faces another stretch of its line nearby."""
+    here = stretches[i].ends_m[e]
+    others = [s.ends_m for j, s in enumerate(stretches) if j != i and s.line == stretches[i].line]
+    return any(bool(np.linalg.norm(ends - here, axis=1).min() < doorway_m) for ends in others)
+
+
 def _better_known(one: float, other: float) -> bool:
     return not np.isnan(one) and (np.isnan(other) or one <= other)
+
+
+def _corner(one: Stretch, e: int, other: Stretch, g: int, config: Closing) -> Array | None:
+    """Where two lines meet beyond the ends of two stretches; None if they do not, or too far away."""
+    reach = []
+    for stretch, end in ((one, e), (other, g)):
+        outward = stretch.ends_m[end] - stretch.ends_m[1 - end]
+        reach.append((stretch.ends_m[end], outward / np.linalg.norm(outward)))
+    (p, u), (q, v) = reach
+    sine = float(u[0] * v[1] - u[1] * v[0])
+    if abs(sine) < np.sin(config.parallel_rad):
+        return None
+    gap = q - p
+    along = float(gap[0] * v[1] - gap[1] * v[0]) / sine, float(gap[0] * u[1] - gap[1] * u[0]) / sine
+    if min(along) < -config.near_m or max(along) > config.longest_m:
+        return None
+    return np.asarray(p + along[0] * u)
 
 
 def _opposite(near: Stretch, e: int, far: Stretch, g: int, parallel_rad: float) -> Array:

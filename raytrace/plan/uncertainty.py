@@ -22,6 +22,7 @@ class WallUncertainty(Part):
     known of how it goes on; ``assumed`` where a wall that nobody saw is taken to join it. Deviations of
     ends are left out
     where they were not observed.
+    ``bounces`` tell the material; it is ``resolved`` where many of them arrived apart from all other paths.
     """
 
     wall: Name
@@ -31,6 +32,7 @@ class WallUncertainty(Part):
     to_std_m: NonNegative | None = None
     assumed: bool = False
     bounces: Annotated[int, Field(ge=0)] = 0
+    resolved: bool = False
     material_probabilities: dict[str, Probability] = Field(default_factory=dict)
 
 

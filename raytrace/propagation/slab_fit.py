@@ -22,6 +22,7 @@ __all__ = ["WALL_MATERIALS", "SlabFit", "SlabSearch", "bounce_geometry", "fit_sl
 Array = NDArray[np.float64]
 WALL_MATERIALS = ("concrete", "brick", "plasterboard", "wood", "glass", "metal")
 """Materials of which walls are built; others of the table may be asked for."""
+_CLEAN_DB = 0.1
 
 
 @dataclass(frozen=True)
@@ -75,17 +76,21 @@ class SlabFit:
         Its likeliest thickness.
     probabilities : dict of str to float
         Posterior probability of each candidate, all of them being as likely before.
+    log_evidence : float
+        Of the losses, all candidates together: what parts of a wall are compared by.
     residual_db : float
         Median absolute deviation of the losses from the fit.
-    samples : int
-        Losses that were used.
+    samples, clean : int
+        Losses that were used, and those of them whose noise is a tenth of a decibel or less.
     """
 
     material: str
     thickness_m: float
     probabilities: dict[str, float]
+    log_evidence: float
     residual_db: float
     samples: int
+    clean: int
 
 
 def bounce_geometry(vertex_m: Array) -> tuple[Array, Array, Array]:
@@ -180,8 +185,10 @@ def fit_slab(
         search.materials[first],
         chosen,
         {name: float(p) for name, p in zip(search.materials, share, strict=True)},
+        float(np.logaddexp.reduce(evidence) - np.log(len(evidence)) - np.log(scale).sum()),
         float(np.median(np.abs(loss_db[use] - fitted))),
         len(use),
+        int(np.sum(noise_db[use] <= _CLEAN_DB)),
     )
 
 

@@ -73,7 +73,7 @@ def twin(
     from estimator.slam.smoothing.refine import refine
     from estimator.twin.build import build_twin
     from raytrace.plan.files import save_floorplan
-    from service.cli.twin_plan import twin_plan
+    from service.cli.twin_plan import refined, twin_plan
 
     require_absent(out)
     found, measured = load_result(result), load_measurements(measurements)
@@ -84,7 +84,7 @@ def twin(
         share = f"{int(found.flagged.sum())} of {len(found.epoch)} epochs from {first} on"
         Reporter().say(f"hapslam: note: the run doubts itself in {share}; so does this twin")
     built = build_twin(found, measured)
-    plan = twin_plan(built, out.stem[:100] or "twin", _radio(measured), agent_height)
+    plan = refined(twin_plan(built, out.stem[:100], _radio(measured), agent_height), built, measured)
     save_floorplan(plan, out)
     facts = _facts(plan, out)
     if score is not None:

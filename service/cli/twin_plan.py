@@ -10,33 +10,67 @@ from numpy.typing import NDArray
 from estimator.errors import InputError
 
 if TYPE_CHECKING:
+    from estimator.measurements import MeasurementSet
     from estimator.twin.build import TwinMap
     from estimator.twin.stretches import Stretch
     from raytrace.plan.floorplan import FloorPlan
     from raytrace.plan.links import Radio
+    from raytrace.prediction.wall_parts import WallPart
     from raytrace.propagation.slab_fit import SlabFit
 
-__all__ = ["material_fits", "twin_plan"]
+__all__ = ["parts_of", "refined", "twin_plan"]
 
 Array = NDArray[np.float64]
 _HEADROOM_M = 0.5  # walls are higher than the highest anchor by this, and 3 m at least
 _LEAST_HEIGHT_M = 3.0
 _ASSUMED_MATERIAL, _ASSUMED_THICKNESS_M = "concrete", 0.2
-_LEAST_BOUNCES = 3  # fewer tell no material
+_RESOLVED, _RESIDUAL_DB = 20, 0.15  # clean bounces, and their fit, that tell a material by themselves
+_LEAST_TOLD = 5e-5  # probability of a material worth a line
 
 
-def material_fits(twin: TwinMap) -> dict[int, SlabFit]:
-    """What each wall is made of, by line, where enough was heard of it."""
-    from raytrace.propagation.slab_fit import fit_slab
+def parts_of(twin: TwinMap) -> list[list[WallPart]]:
+    """Each wall cut where its material changes; of walls that nobody heard, one part without a fit."""
+    from raytrace.prediction.wall_parts import Losses, WallPart, wall_parts
 
-    bounces, fits = twin.bounces, {}
-    for line in sorted({wall.line for wall in twin.walls if wall.line >= 0}):
-        mine = bounces.wall == line
-        if mine.sum() >= _LEAST_BOUNCES:
-            fits[line] = fit_slab(
-                bounces.vertex_m[mine], bounces.loss_db[mine], bounces.noise_db[mine], twin.carrier_hz
-            )
-    return fits
+    bounces, parts = twin.bounces, []
+    for wall in twin.walls:
+        if wall.line < 0:
+            parts.append([WallPart(0.0, wall.length_m, None)])
+            continue
+        mine = bounces.wall == wall.line
+        direction = (wall.ends_m[1] - wall.ends_m[0]) / wall.length_m
+        along = (bounces.vertex_m[mine, 1, :2] - wall.ends_m[0]) @ direction
+        losses = Losses(along, bounces.vertex_m[mine], bounces.loss_db[mine], bounces.noise_db[mine])
+        parts.append(wall_parts(wall.length_m, wall.cuts_m, losses, twin.carrier_hz))
+    return parts
+
+
+def refined(plan: FloorPlan, twin: TwinMap, measured: MeasurementSet) -> FloorPlan:
+    """The plan with the materials of walls whose reflections are not resolved told from clusters of paths."""
+    from raytrace.plan.files import parse_floorplan
+    from raytrace.prediction.material_refinement import clusters_of, refine_materials
+
+    known = plan.uncertainty
+    assert known is not None  # a twin states it
+    told = {entry.wall: entry for entry in known.walls}
+    free = [wall.name for wall in plan.walls if wall.name in told and not told[wall.name].resolved]
+    columns = [measured.anchors.index(anchor.name) for anchor in plan.anchors]
+    heard = [[epoch.paths[k] for k in columns] for epoch in measured.epochs]
+    if not free or any(p.gain_db is None and len(p) for row in heard for p in row):
+        return plan
+    places = np.column_stack([twin.track_m, np.full(len(twin.track_m), plan.agent.height_m)])
+    gains = [[np.zeros(0) if p.gain_db is None else p.gain_db for p in row] for row in heard]
+    clusters = clusters_of(plan, places, [[p.range_m for p in row] for row in heard], gains)
+    fits = refine_materials(plan, clusters, free)
+    data = plan.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+    for wall, full in zip(data["walls"], plan.walls, strict=True):
+        wall.update(height_m=full.height_m, material=full.material, thickness_m=full.thickness_m)
+        if full.name in fits:
+            wall["material"], wall["thickness_m"] = fits[full.name][:2]
+    for entry in data["uncertainty"]["walls"]:
+        if entry["wall"] in fits:
+            entry["material_probabilities"] = _likely(fits[entry["wall"]][2])
+    return parse_floorplan({"format": plan.format, "version": plan.version, **data}, source=plan.name)
 
 
 def twin_plan(twin: TwinMap, name: str, radio: Radio, agent_height_m: float = 1.5) -> FloorPlan:
@@ -61,29 +95,19 @@ def twin_plan(twin: TwinMap, name: str, radio: Radio, agent_height_m: float = 1.
     from raytrace.plan.files import parse_floorplan
     from raytrace.plan.floorplan import FORMAT, VERSION
 
-    fits = material_fits(twin)
+    parts = parts_of(twin)
     top = max([anchor.height_m for anchor in twin.anchors], default=0.0) + agent_height_m + _HEADROOM_M
     height = round(max(_LEAST_HEIGHT_M, top), 3)
-    names = _names(twin.walls)
-    likeliest = _commonest(fits)
+    likeliest = _commonest([part.fit for wall in parts for part in wall if part.fit is not None])
     walls, known = [], []
-    for wall, label in zip(twin.walls, names, strict=True):
-        fit = fits.get(wall.line)
-        material, thickness = likeliest if fit is None else (fit.material, fit.thickness_m)
-        walls.append(_wall(label, wall.ends_m[0], wall.ends_m[1], height, (material, thickness)))
-        entry = {
-            "wall": label,
-            "from_end": wall.kinds[0],
-            "to_end": wall.kinds[1],
-            "from_std_m": _number(wall.std_m[0]),
-            "to_std_m": _number(wall.std_m[1]),
-            "assumed": wall.line < 0,
-            "bounces": 0 if fit is None else fit.samples,
-            "material_probabilities": {}
-            if fit is None
-            else {m: round(p, 4) for m, p in fit.probabilities.items() if p >= 5e-5},
-        }
-        known.append({key: value for key, value in entry.items() if value is not None})
+    for wall, stem, cut in zip(twin.walls, _names(twin.walls), parts, strict=True):
+        direction = (wall.ends_m[1] - wall.ends_m[0]) / wall.length_m
+        for number, part in enumerate(cut):
+            label = stem if len(cut) == 1 else f"{stem}-part-{number + 1}"
+            slab = likeliest if part.fit is None else (part.fit.material, part.fit.thickness_m)
+            start, end = wall.ends_m[0] + np.outer([part.from_m, part.to_m], direction)
+            walls.append(_wall(label, start, end, height, slab))
+            known.append(_wall_uncertainty(label, wall, part, number == 0, number + 1 == len(cut)))
     hidden = []
     for number, obstacle in enumerate(twin.obstacles):
         sides = [f"obstacle-{number}-{side}" for side in range(4)]
@@ -144,6 +168,30 @@ def _wall(
     }
 
 
+def _wall_uncertainty(
+    label: str, wall: Stretch, part: WallPart, is_first: bool, is_last: bool
+) -> dict[str, object]:
+    """What the plan says of how sure a part of a wall is; where parts meet there is a corner."""
+    fit = part.fit
+    entry = {
+        "wall": label,
+        "from_end": wall.kinds[0] if is_first else "corner",
+        "to_end": wall.kinds[1] if is_last else "corner",
+        "from_std_m": _number(wall.std_m[0]) if is_first else None,
+        "to_std_m": _number(wall.std_m[1]) if is_last else None,
+        "assumed": wall.line < 0,
+        "bounces": 0 if fit is None else fit.samples,
+        "material_probabilities": {} if fit is None else _likely(fit.probabilities),
+        "resolved": fit is not None and fit.clean >= _RESOLVED and fit.residual_db < _RESIDUAL_DB,
+    }
+    return {key: value for key, value in entry.items() if value is not None}
+
+
+def _likely(probabilities: dict[str, float]) -> dict[str, float]:
+    """Those that are worth a line."""
+    return {name: round(share, 4) for name, share in probabilities.items() if share >= _LEAST_TOLD}
+
+
 def _names(walls: tuple[Stretch, ...]) -> list[str]:
     """Walls by their line, further stretches of one with letters."""
     names: list[str] = []
@@ -154,11 +202,11 @@ def _names(walls: tuple[Stretch, ...]) -> list[str]:
     return names
 
 
-def _commonest(fits: dict[int, SlabFit]) -> tuple[str, float]:
+def _commonest(fits: list[SlabFit]) -> tuple[str, float]:
     """Material and thickness of the wall that was heard best: that of walls which nobody heard."""
     if not fits:
         return _ASSUMED_MATERIAL, _ASSUMED_THICKNESS_M
-    best = max(fits.values(), key=lambda fit: fit.samples)
+    best = max(fits, key=lambda fit: fit.samples)
     return best.material, best.thickness_m
 
 

@@ -156,6 +156,9 @@ class Problem:
         Models: motion, priors of heights, clock biases and the initial velocity.
     sweeps : tuple of SweepFactor
         Walls seen on the way.
+    height2_prior : tuple of (float, float), length K, optional
+        Mean and standard deviation of each anchor's squared height difference; by default those of the noise
+        model.
     """
 
     layout: Layout
@@ -164,6 +167,7 @@ class Problem:
     sensed: tuple[GaussianVrp | None, ...]
     config: Models
     sweeps: tuple[SweepFactor, ...] = field(default=())
+    height2_prior: tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
         if len(self.sensed) != self.layout.slots or not self.sensed or self.sensed[0] is None:
@@ -188,9 +192,15 @@ class Problem:
         assert reference is not None  # checked on construction
         return float(np.arctan2(reference.mean_m[1], reference.mean_m[0]))
 
+    def height2_of(self, anchor: int) -> tuple[float, float]:
+        """Prior mean and standard deviation of an anchor's squared height difference, square metres."""
+        if self.height2_prior is not None:
+            return self.height2_prior[anchor]
+        return self.config.noise.height2_mean_m2, self.config.noise.height2_std_m2
+
     def basis(self) -> tuple[Array, Array]:
         """Free directions (n, q) of what stands still, and the information (q,) of their priors."""
-        layout, config, clocks = self.layout, self.config.noise, self.config.clocks
+        layout, clocks = self.layout, self.config.clocks
         columns, information = [THETA], [0.0]
         if self.config.sweeps.echo_bias_std_m > 0.0:
             columns.append(ECHO_BIAS)
@@ -199,9 +209,10 @@ class Problem:
             place = layout.anchor_xy(k)
             columns += [place.start, place.start + 1]
             information += [_VAGUE, _VAGUE]
-            if config.height2_std_m2 > 0.0:
+            _, height2_std = self.height2_of(k)
+            if height2_std > 0.0:
                 columns.append(layout.height2(k))
-                information.append(config.height2_std_m2**-2)
+                information.append(height2_std**-2)
             if clocks.clock_bias_std_m > 0.0 and not (clocks.clock_bias_common and k):
                 columns.append(layout.bias(k))
                 information.append(clocks.clock_bias_std_m**-2)

@@ -165,7 +165,7 @@ def _from_prior(problem: Problem, still: Array, basis: Array) -> Array:
     away = np.zeros_like(still)
     away[ECHO_BIAS] = still[ECHO_BIAS]
     for k in range(layout.anchors):
-        away[layout.height2(k)] = still[layout.height2(k)] - problem.config.noise.height2_mean_m2
+        away[layout.height2(k)] = still[layout.height2(k)] - problem.height2_of(k)[0]
         away[layout.bias(k)] = still[layout.bias(k)]
     return np.asarray(basis.T @ away / np.sum(basis**2, axis=0))
 

@@ -64,6 +64,10 @@ class RefineConfig:
         Clock biases are first looked for in bins of this width: a few errors of a path length.
     bias_reach_sigma : float
         And within so many standard deviations of their prior.
+    highest_m, height_step_m : float
+        Anchors are first looked for up to this height above or below the agent, in steps of this.
+    height_gain : float
+        A height is believed, whatever the prior, if so many times as many paths meet there.
     """
 
     rounds: int = 2
@@ -73,13 +77,24 @@ class RefineConfig:
     wall_gate_sigma: float = 4.5
     bias_bin_m: float = 0.2
     bias_reach_sigma: float = 5.0
+    highest_m: float = 12.0
+    height_step_m: float = 0.1
+    height_gain: float = 1.3
 
     def __post_init__(self) -> None:
         if self.rounds < 1 or self.lag < 0:
             raise ConfigurationError(
                 f"rounds, lag: expected at least 1 and 0, got {self.rounds} and {self.lag}"
             )
-        for name in ("first_spread_m", "wall_gate_sigma", "bias_bin_m", "bias_reach_sigma"):
+        for name in (
+            "first_spread_m",
+            "wall_gate_sigma",
+            "bias_bin_m",
+            "bias_reach_sigma",
+            "highest_m",
+            "height_step_m",
+            "height_gain",
+        ):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ConfigurationError(f"{name}: expected a positive number, got {getattr(self, name)}")
         if not 0.0 < self.least_probability < 1.0:
@@ -135,6 +150,7 @@ def refine(
     located = result.anchor_valid[-1]
     heard = stacked_paths(tables)
     at = _biased(problem, at, heard, config)
+    problem, at = _raised(problem, at, heard, located, config)
     spread: ArrayLike = config.first_spread_m**2
     for _ in range(config.rounds):
         factors = path_factors(problem, at, heard, located, spread, config.least_probability)
@@ -221,6 +237,40 @@ def _biased(problem: Problem, at: Trajectory, heard: RunPaths, config: RefineCon
     for k in range(layout.anchors):
         still[layout.bias(k)] = -reach + (np.argmax(votes[k]) + 0.5) * 2.0 * reach / bins
     return Trajectory(at.agent, still)
+
+
+def _raised(
+    problem: Problem, at: Trajectory, heard: RunPaths, located: NDArray[np.bool_], config: RefineConfig
+) -> tuple[Problem, Trajectory]:
+    """Heights at which clearly more paths meet than at the prior's, and a prior about them.
+
+    Lines of sight and single bounces count, where the prior leaves heights open at all.
+    """
+    layout, noise = problem.layout, problem.config.noise
+    if noise.height2_std_m2 == 0.0:
+        return problem, at
+    prediction = predict_paths(at.states(), layout)
+    first = slice(0, 1 + layout.slots)
+    offset = at.agent[:, None, None, :2] - prediction.source_m[:, :, first]
+    flat2 = np.sum(offset**2, axis=-1)
+    heights = np.arange(0.0, config.highest_m, config.height_step_m)
+    still, priors = at.still.copy(), []
+    for k in range(layout.anchors):
+        prior = (noise.height2_mean_m2, noise.height2_std_m2)
+        use = heard.valid[:, k, None, :] & prediction.possible[:, k, first, None]
+        hits = np.zeros(len(heights))
+        measured = heard.length_m[:, k, None, :] - still[layout.bias(k)]
+        for i, height in enumerate(heights):
+            length = np.sqrt(flat2[:, k] + height**2)[..., None]
+            hits[i] = np.sum(use & (np.abs(measured - length) < config.first_spread_m))
+        best = int(np.argmax(hits))
+        near = int(np.argmin(np.abs(heights - np.sqrt(max(noise.height2_mean_m2, 0.0)))))
+        if located[k] and hits[best] > config.height_gain * hits[near]:
+            height = heights[best]
+            prior = (height**2, max(noise.height2_std_m2, 2.0 * height * config.first_spread_m))
+            still[layout.height2(k)] = height**2
+        priors.append(prior)
+    return replace(problem, height2_prior=tuple(priors)), Trajectory(at.agent, still)
 
 
 def _spread(problem: Problem, smoothed: Smoothed) -> Array:

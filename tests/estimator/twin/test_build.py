@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimator.errors import InputError
-from estimator.twin.build import build_twin
+from estimator.twin.build import TwinConfig, build_twin
 from estimator.twin.stretches import corner_std
 from raytrace.plan.files import load_floorplan
 from tests.mapped_runs import mapped_run
@@ -70,7 +70,11 @@ def test_gains_tell_offsets(l_room):
     """An anchor that sends 3 dB more is told by its lines of sight, and taken off all losses."""
     plan, _, _, plain = l_room
     result, measurements = mapped_run(plan, np.random.default_rng(2), 4, MAPPED, offset_db=3.0)
-    twin = build_twin(result, measurements)
+    assert [anchor.offset_db for anchor in build_twin(result, measurements).anchors] == [
+        0.0,
+        0.0,
+    ]  # calibrated
+    twin = build_twin(result, measurements, TwinConfig(gain_offset_std_db=5.0))
     for anchor in twin.anchors:
         assert anchor.offset_db == pytest.approx(3.0, abs=5.0 * anchor.offset_std_db)
         assert anchor.offset_std_db < 0.05
@@ -105,3 +109,28 @@ def test_results_of_filters_are_refused(l_room):
         build_twin(replace(result, joint=None), measurements)
     with pytest.raises(InputError, match="expected 236 epochs"):
         build_twin(result, replace(measurements, epochs=measurements.epochs[:5]))
+
+
+def test_doors_are_openings():
+    """Of an office, with what sweeps see: every wall, and its doors within centimetres."""
+    plan = load_floorplan("office")
+    result, measurements = mapped_run(plan, np.random.default_rng(1), 1, sweeps=True)
+    twin = build_twin(result, measurements)
+    start = plan.track()[0, :2]
+    jambs = [w.ends_m[e] + start for w in twin.walls for e in (0, 1) if w.kinds[e] == "open"]
+    true = np.concatenate(plan.walls_m())
+    assert len(jambs) == 14  # of seven doors
+    assert max(np.linalg.norm(true - end, axis=1).min() for end in jambs) < 0.1
+    outer = [w for w in twin.walls if w.length_m > 13.0]
+    assert len(outer) == 4
+    assert {len(w.cuts_m) for w in outer} == {2, 3}
+
+
+def test_walls_that_nobody_walked_through_stand(l_room):
+    """The agent's own way opens walls, whatever else was heard."""
+    _, result, measurements, _ = l_room
+    moved = result.agent_mean.copy()
+    moved[100:104, 1] = [-10.0, -14.0, -16.0, -14.0]  # through the south wall and back
+    twin = build_twin(replace(result, agent_mean=moved), measurements)
+    south = [w for w in twin.walls if w.line >= 0 and np.allclose(w.ends_m[:, 1], -15.0, atol=0.01)]
+    assert len(south) >= 2

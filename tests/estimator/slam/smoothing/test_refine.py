@@ -144,3 +144,17 @@ def test_results_that_do_not_fit_are_refused(filtered):
     for change in ({"rounds": 0}, {"first_spread_m": 0.0}, {"least_probability": 1.0}):
         with pytest.raises(ConfigurationError, match=next(iter(change))):
             RefineConfig(**change)
+
+
+def test_anchors_far_above_are_found(filtered):
+    """Anchors six metres above, of which the prior knows nothing, are voted for and then estimated."""
+    measurements, result = filtered[0]
+
+    def raised(paths):
+        return replace(paths, delay_s=np.sqrt(paths.range_m**2 + 36.0) / SPEED_OF_LIGHT_M_S)
+
+    epochs = tuple(replace(epoch, paths=tuple(map(raised, epoch.paths))) for epoch in measurements.epochs)
+    model = config_for(measurements).but(height2_mean_m2=1.0, height2_std_m2=1.0)
+    joint = refine(replace(measurements, epochs=epochs), result, model).joint
+    np.testing.assert_allclose(joint.anchor_height2_m2, 36.0, atol=1.0)
+    assert len(joint.path_epoch) > 0.9 * len(refine(measurements, result).joint.path_epoch)
