@@ -52,7 +52,7 @@ class Settings(BaseSettings):
     max_step_pairs : int
         Paths of an epoch times the walls of its session and one: the engine's work and memory grow with it.
     prompt_s : float
-        Epochs that take longer, as far as that can be told, are taken in by the bulk workers.
+        Epochs that take more processor time, as far as that can be told, are taken in by the bulk workers.
     max_body_bytes, max_json_bytes, max_small_json_bytes : int
         Largest body: of a file, of epochs and a truth as JSON, of any other JSON.
     max_bodies_bytes : int
@@ -94,7 +94,7 @@ class Settings(BaseSettings):
     step_timeout_s: Seconds = 20.0
     work_timeout_s: Seconds = 90.0
     max_step_pairs: Count = 20_000
-    prompt_s: Seconds = 0.5
+    prompt_s: Seconds = 0.1
     max_smoothed_epochs: Count = 10_000
     max_body_bytes: Count = 64 * 2**20
     max_json_bytes: Count = 16 * 2**20

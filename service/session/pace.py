@@ -1,4 +1,7 @@
-"""How long a session's epochs take, by those before: what is slow is sent where it keeps nobody waiting."""
+"""How long a session's epochs take, by those before: what is slow is sent where it keeps nobody waiting.
+
+Processor time counts: a machine that is busy with others' work does not make a session slow.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ _UNKNOWN_S = 15e-6  # of a pair of a path and a wall, before a session has been 
 
 
 class Pace:
-    """Seconds of a pair of a path and a wall, session by session."""
+    """Processor seconds of a pair of a path and a wall, session by session."""
 
     def __init__(self) -> None:
         self._seconds: OrderedDict[str, float] = OrderedDict()

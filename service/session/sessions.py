@@ -54,6 +54,8 @@ class Taken:
         The estimate after the last, JSON, if it was computed just now.
     walls : int or None
         How many walls stand in it.
+    processor_s : float or None
+        Processor time that the new epochs took, seconds.
     """
 
     first: int
@@ -61,6 +63,7 @@ class Taken:
     new: int
     state: str | None = None
     walls: int | None = None
+    processor_s: float | None = None
 
 
 def new_session_id() -> str:
@@ -87,7 +90,7 @@ def take_epochs(
     epochs : sequence of EpochEntry
         Consecutive epochs, anchors in the session's order.
     prompt_s : float, optional
-        Time after which the work is given up, to be done where it keeps nobody waiting.
+        Processor time after which the work is given up, to be done where it keeps nobody waiting.
 
     Raises
     ------
@@ -109,7 +112,7 @@ def take_epochs(
         try:
             with store.stepping(session_id, key_id) as step:
                 new = _new_entries(step, "epoch", entries, step.row.next_epoch)
-                state = walls = None
+                state = walls = spent_s = None
                 if new:
                     known_time = step.row.time_s
                     for epoch in epochs[-len(new) :]:
@@ -118,7 +121,8 @@ def take_epochs(
                     folded = _advance(step, pool, tuple(body for _, body in new), prompt_s)
                     step.commit("epoch", new, folded, epochs[-1].time_s)
                     state, walls = (folded.estimates[-1][name] for name in ("document", "walls"))
-                return Taken(first, last, len(new), state, walls)
+                    spent_s = folded.processor_s
+                return Taken(first, last, len(new), state, walls, spent_s)
         except RevisionError:
             continue
     raise BusyError("expected a free moment of the session, other requests keep changing it")

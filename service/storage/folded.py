@@ -20,8 +20,11 @@ class Folded:
         Its digest.
     estimates : tuple of dict
         A row of the table ``estimates`` for each epoch, without the session.
+    processor_s : float
+        Processor time that it took, seconds.
     """
 
     snapshot: bytes
     sha256: bytes
     estimates: tuple[dict[str, Any], ...]
+    processor_s: float

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 
@@ -135,8 +134,9 @@ async def taken_in(here: Context, session: SessionAccess, entries: Sequence[Epoc
     if here.pace.expected_s(session.id, pairs) <= prompt_s:
         with suppress(NotPromptError):
             found = await _taken(here, session, entries, prompt_s)
-    taken, state, seconds = found or await _taken(here, session, entries, None)
-    here.pace.note(session.id, pairs, seconds)
+    taken, state = found or await _taken(here, session, entries, None)
+    if taken.processor_s is not None:
+        here.pace.note(session.id, pairs, taken.processor_s)
     if taken.walls is not None:
         here.note_walls(session, taken.walls)
     here.bell.ring(session.id)
@@ -158,17 +158,16 @@ async def _pairs(here: Context, session: SessionAccess, entries: Sequence[EpochE
 
 async def _taken(
     here: Context, session: SessionAccess, entries: Sequence[EpochEntry], prompt_s: float | None
-) -> tuple[Taken, str, float]:
-    """Take in epochs, promptly or where it may take long: what was taken, the state, seconds of work."""
+) -> tuple[Taken, str]:
+    """Take in epochs, promptly or where it may take long: what was taken, and the state."""
 
-    def work(worker: AnyWorker) -> tuple[Taken, str, float]:
-        begin = time.monotonic()
+    def work(worker: AnyWorker) -> tuple[Taken, str]:
         taken = take_epochs(here.store, worker, session.id, session.key_id, entries, prompt_s)
         state = taken.state
         if state is None:
             with here.store.reading() as connection:
                 state = here.store.estimate(session.id, taken.last, connection) or "null"
-        return taken, state, time.monotonic() - begin
+        return taken, state
 
     lane = Lane.BULK if prompt_s is None else Lane.STEPS
     return await here.workers.hold(lane, session.key_id, session.id, work)
