@@ -330,10 +330,8 @@ def _headings(layout: Layout, mean: Array, present: Mask, flash: Array, model: R
     vrps = mean[layout.walls].reshape(-1, 2)[present]
     walls = np.arctan2(vrps[:, 1], vrps[:, 0])
     turns = np.arctan2(flash[:, 1], flash[:, 0])[:, None] - np.concatenate([walls, walls + np.pi])
-    bins = (
-        np.floor(np.mod(-turns, 2.0 * np.pi) * model.heading_bins / (2.0 * np.pi)).astype(np.int64)
-        % model.heading_bins
-    )
+    width = 2.0 * np.pi / model.heading_bins
+    bins = (np.mod(-turns, 2.0 * np.pi) / width).astype(np.int64) % model.heading_bins
     votes = np.bincount(bins.ravel(), minlength=model.heading_bins)
     return (np.argsort(-votes, kind="stable")[: model.most_headings] + 0.5) * width
 
