@@ -21,7 +21,6 @@ except ImportError:  # not on Windows, where files are still checked before they
 __all__ = ["confine", "confined_reading", "limit_memory"]
 
 _STATUS = Path("/proc/self/status")
-_LEAST_BYTES = 48 * 2**20  # to work with: a step of a usual session takes some MiB
 _confined = False  # whether files are read one at a time: in a worker that has read one of each kind
 
 
@@ -34,14 +33,14 @@ def confine() -> None:
 def limit_memory(most_bytes: int) -> None:
     """Let this process have at most so much memory; what asks for more gets MemoryError.
 
-    The kernel limits private memory that is mapped, used or not; pages of libraries come on top. Where
-    that leaves too little to work with, some MiB are allowed all the same.
+    The kernel counts private memory that is mapped, used or not; what is mapped at the time of the call
+    without being used is allowed on top.
     """
     if resource is None or not _STATUS.exists():
         return
     sizes = dict(line.split(":", 1) for line in _STATUS.read_text().splitlines() if ":" in line)
-    data, libraries = (1024 * int(sizes[name].split()[0]) for name in ("VmData", "RssFile"))
-    allowed = max(data + _LEAST_BYTES, most_bytes - libraries)
+    data, resident = (1024 * int(sizes[name].split()[0]) for name in ("VmData", "VmRSS"))
+    allowed = data + max(0, most_bytes - resident)
     resource.setrlimit(resource.RLIMIT_DATA, (allowed, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
 

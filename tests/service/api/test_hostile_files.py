@@ -95,6 +95,15 @@ def _requests(
             yield f"{path}{query}", _mutated(body, dice), "application/octet-stream"
 
 
+def _await_readers(url: str, theirs: dict[str, str], file: Path) -> None:
+    """Wait until files are read: on a new machine the engine is compiled first, which takes memory."""
+    headers = {"Content-Type": "application/octet-stream", **theirs}
+    with httpx2.Client(base_url=url, headers=headers, timeout=150.0) as client:
+        while (made := client.post("/v1/uploads", content=file.read_bytes())).status_code == 429:
+            time.sleep(1.0)
+        assert made.status_code == 201, made.text
+
+
 def test_hostile_files_get_nothing_and_stop_nobody(
     database: str,
     walk_file: Callable[[], Path],
@@ -116,6 +125,7 @@ def test_hostile_files_get_nothing_and_stop_nobody(
         with Client(server.url, victim) as other:
             other.create_session({"anchors": [_SECRET], "carrier_hz": 28e9})
         session = friend.create_session({"anchors": ["one", "two"], "carrier_hz": 28e9})
+        _await_readers(server.url, theirs, walk_file())
         requests = httpx2.Client(base_url=server.url, headers=theirs, timeout=150.0)
         with Watcher(server) as watcher, requests as client:
             for path, body, kind in _requests(makers, HOSTILE, session, dice):
