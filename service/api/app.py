@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from importlib import metadata
+from importlib import import_module, metadata
 
 from fastapi import Depends, FastAPI
 
@@ -34,6 +35,7 @@ from service.storage.database import opened
 
 __all__ = ["create_app"]
 
+_LISTENS_S = 0.3  # after the application has started
 _DESCRIPTION = """\
 Measurements in, SLAM state out. Make a session, post the walls sensed at the start to its
 `sweeps`, then paths to its `epochs`; read `state`, `trajectory` and `map`, or follow `events`.
@@ -61,10 +63,12 @@ def create_app(settings: Settings) -> FastAPI:
         with opened(settings.url, settings.lock_timeout_s) as engine:
             here.open(engine)
             here.workers.start()
+            loading = asyncio.create_task(_load_engine(here))
             runner = JobRunner(here)
             try:
                 yield
             finally:
+                loading.cancel()
                 await runner.stop()
                 here.workers.stop()
 
@@ -99,6 +103,12 @@ def create_app(settings: Settings) -> FastAPI:
         app.include_router(module.router)
     app.openapi = Description(app)  # type: ignore[method-assign]
     return app
+
+
+async def _load_engine(here: Context) -> None:
+    """Import what sessions are checked with, once the server listens: the first of them need not wait."""
+    await asyncio.sleep(_LISTENS_S)
+    await here.run(import_module, "estimator.slam.run")
 
 
 def _version() -> str:

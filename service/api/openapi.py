@@ -13,7 +13,6 @@ from fastapi.routing import APIRoute
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from estimator.slam.gaussian.config import GaussianConfig
 from service.messages.answers import Problem
 from service.messages.epochs import EpochsRequest
 from service.messages.session_requests import SessionChange, SessionRequest
@@ -87,6 +86,8 @@ def _document(app: FastAPI) -> dict[str, Any]:
 
 def _measurement_model() -> dict[str, Any]:
     """The settings of the engine that a session may state: each with its default and what it means."""
+    from estimator.slam.gaussian.config import GaussianConfig  # with the engine: the server starts sooner
+
     settings: dict[str, Any] = {}
     for group in fields(GaussianConfig):
         kind: Any = group.default_factory

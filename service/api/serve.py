@@ -96,7 +96,6 @@ def serve(settings: Settings) -> None:
     config.loaded_app = app
     structlog.get_logger().info("serving", host=settings.host, port=settings.port, database=_plain(settings))
     sys.setswitchinterval(_SWITCH_S)
-    gc.collect()
     gc.freeze()  # what was imported is never garbage: looking through it again would stop the loop
     _Server(config).run()
     structlog.get_logger().info("stopped")

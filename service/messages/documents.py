@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, Odometry
-from estimator.slam import Estimate
-from estimator.slam.protocol import Candidate, Integrity
+from estimator.slam.protocol import Candidate, Estimate, Integrity
 
 __all__ = [
     "dump",

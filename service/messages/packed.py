@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.result import SlamResult
-from estimator.slam import Estimate
-from estimator.slam.protocol import INTEGRITY_STATES
+from estimator.slam.protocol import INTEGRITY_STATES, Estimate
 
 __all__ = ["RunTerms", "pack_estimate", "unpack_run"]
 

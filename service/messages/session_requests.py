@@ -7,10 +7,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from estimator.slam.run import ENGINES, METHODS
+from estimator.slam.methods import METHODS, PAIRS
 from service.messages.fields import Finite, Integer, Name, Pair, Positive, Request, Title
 
 __all__ = ["NrTerms", "SessionChange", "SessionRequest", "StartFrame"]
+
+
+_ENGINES = list(dict.fromkeys(engine for _, engine in PAIRS))
 
 
 class StartFrame(Request):
@@ -74,7 +77,7 @@ class SessionRequest(Request):
 
     name: Title = ""
     method: Annotated[str, Field(max_length=50, json_schema_extra={"enum": list(METHODS)})] = "hybrid"
-    engine: Annotated[str, Field(max_length=50, json_schema_extra={"enum": list(ENGINES)})] = "gaussian"
+    engine: Annotated[str, Field(max_length=50, json_schema_extra={"enum": _ENGINES})] = "gaussian"
     seed: Annotated[Integer, Field(ge=0, le=2**63 - 1)] = 0
     anchors: Annotated[list[Name], Field(fail_fast=True, min_length=1, max_length=1000)]
     carrier_hz: Positive

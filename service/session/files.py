@@ -13,7 +13,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from estimator.dataset import KINDS, MANIFEST, open_dataset
@@ -114,6 +113,8 @@ def read_arrays(body: bytes, limit: int, wanted: tuple[str, ...]) -> dict[str, A
         file.write_bytes(body)
         with confined_reading():
             check_hdf5(file, Hdf5Limits(bytes=limit))
+            import xarray as xr  # of the readers alone: the server starts sooner
+
             with xr.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
                 missing = [name for name in wanted if name not in data.variables]
                 if missing:

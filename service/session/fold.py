@@ -19,8 +19,7 @@ import numpy as np
 
 from estimator.errors import ConfigurationError, FileFormatError, InputError
 from estimator.measurements import Epoch, GaussianVrp, MeasurementSet
-from estimator.slam import Engine, Prior, epoch_rng
-from estimator.slam.run import config_for, engine_for
+from estimator.slam.protocol import Engine, Prior, epoch_rng
 from estimator.threads import one_blas_thread
 from service.messages.documents import dump, estimate_document, read_epoch, read_sweep
 from service.messages.packed import pack_estimate
@@ -119,6 +118,8 @@ def engine_of(config: Mapping[str, Any]) -> Engine:
         If the method, the engine or the noise model is none that the estimator knows, or
         the noise model asks for more than a service can give.
     """
+    from estimator.slam.run import config_for, engine_for  # slow to import, and not needed to begin
+
     model = config_for(measurement_set(config), engine=config["engine"])
     plain = measurement_set({**config, "measurement_model": {}})
     defaults = config_for(plain, engine=config["engine"]).flat()

@@ -10,7 +10,6 @@ import warnings
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any
 
-from estimator.compiled import cache_folder, compiled_here
 from service.session.confinement import confine, limit_memory
 from service.session.tasks import Task, TaskContext, WorkerSetup
 
@@ -44,7 +43,7 @@ def serve(connection: Connection, setup: WorkerSetup, first: bool) -> None:
     if setup.database is not None:
         context.store = _opened(*setup.database)
     _warm_up(setup)
-    if first and compiled_here() and cache_folder() is not None:
+    if first and _compiled():
         if setup.reads_files:
             _compile_the_rest()
         connection.send(("compiled", None))  # and what that took stays in memory: the next process loads it
@@ -72,6 +71,13 @@ def _warm_up(setup: WorkerSetup) -> None:
     if setup.reads_files:
         warmup.warm_up_reading()
         confine()
+
+
+def _compiled() -> bool:
+    """Whether this process had to compile, and has kept for others what it compiled."""
+    from estimator.compiled import cache_folder, compiled_here
+
+    return compiled_here() and cache_folder() is not None
 
 
 def _compile_the_rest() -> None:

@@ -106,7 +106,7 @@ async def create_session(
     """
     _check_anchors(request, here)
     config = request.config()
-    engine_of(config)
+    await here.run(engine_of, config)
     limit, new = here.settings.max_sessions_per_key, new_session_id()
     made = await here.run(here.store.create, new, key_id, request.name, dump(config), limit, once)
     if made is None:
@@ -170,7 +170,7 @@ async def change(request: Request, session: SessionDep, here: ContextDep) -> dic
         except ValueError as error:
             raise InputError(str(error)) from error
         _check_anchors(changed, here)
-        engine_of(changed.config())
+        await here.run(engine_of, changed.config())
         config = dump(changed.config())
     await here.run(here.store.change, session.id, session.key_id, wanted.name, config)
     return await read(session, here)

@@ -1,0 +1,15 @@
+from .gaussian.config import GaussianConfig as GaussianConfig
+from .gaussian.engine import GaussianEngine as GaussianEngine
+from .gaussian.engine import step as step
+from .gaussian.estimate import estimate as estimate
+from .gaussian.start import start as start
+from .gaussian.state import GaussianState as GaussianState
+from .gaussian.state import load_state as load_state
+from .gaussian.state import save_state as save_state
+from .particle.config import ParticleConfig as ParticleConfig
+from .particle.engine import ParticleEngine as ParticleEngine
+from .protocol import Engine as Engine
+from .protocol import Estimate as Estimate
+from .protocol import Prior as Prior
+from .protocol import epoch_rng as epoch_rng
+from .run import run_slam as run_slam
