@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -31,6 +32,7 @@ from service.storage.store import Store, unknown_session
 __all__ = ["Bell", "CallerDep", "Context", "ContextDep", "SessionAccess", "SessionDep", "caller", "context"]
 
 _REMEMBERED = 1000  # sessions whose terms are kept in mind
+_TERMS_S = 1.0  # and how long: another process may have added anchors
 _THREADS = 32  # that wait for the database
 _DOORS = 8  # that look up keys: whoever else waits, a request is let in or refused
 _AT_ONCE_BYTES = 4 * 2**10  # of JSON: some milliseconds, even if everything in it is wrong
@@ -118,7 +120,7 @@ class Context:
     _loop: asyncio.AbstractEventLoop | None = None
     _threads: anyio.CapacityLimiter = field(init=False)
     _doors: anyio.CapacityLimiter = field(init=False)
-    _terms: dict[SessionAccess, SessionTerms] = field(default_factory=dict)
+    _terms: dict[SessionAccess, tuple[SessionTerms, float]] = field(default_factory=dict)
     _walls: dict[str, int] = field(default_factory=dict)
 
     def open(self, engine: Engine) -> None:
@@ -132,14 +134,17 @@ class Context:
 
     async def terms(self, session: SessionAccess) -> SessionTerms:
         """What a session's epochs are read by; raises NotFoundError."""
-        known = self._terms.get(session)
-        if known is None:
+        known, until_s = self._terms.get(session, (None, 0.0))
+        if known is None or time.monotonic() > until_s:
             row = await self.run(self.store.session, session.id, session.key_id)
             known = SessionTerms.of(json.loads(row.config))
-            if row.next_epoch > 0:  # until then anchors may be added
-                self._terms[session] = known
-                _forget(self._terms)
+            self._terms[session] = known, time.monotonic() + _TERMS_S
+            _forget(self._terms)
         return known
+
+    def forget_terms(self, session: SessionAccess) -> None:
+        """A session's terms have changed."""
+        self._terms.pop(session, None)
 
     async def walls(self, session: SessionAccess) -> int:
         """How many walls a session had when last looked at."""

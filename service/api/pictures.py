@@ -28,6 +28,11 @@ class PictureCache:
             self._known.move_to_end(name)
         return self._known.get(name)
 
+    def forget(self, session_id: str) -> None:
+        """Pictures of a session that are no longer true."""
+        for name in [name for name in self._known if name[0] == session_id]:
+            self._size -= len(self._known.pop(name))
+
     def put(self, name: Name, content: bytes) -> None:
         """Keep a picture; those not asked for longest go."""
         self._size += len(content) - len(self._known.pop(name, b""))

@@ -115,7 +115,7 @@ class SessionRequest(Request):
 
 
 class SessionChange(Request):
-    """What of a session may change: its name at any time; before epoch 0 also its anchors."""
+    """What of a session may change: its name; its anchors, with which a begun run is computed anew."""
 
     name: Title | None = None
     anchors: Annotated[list[Name], Field(fail_fast=True, min_length=1, max_length=1000)] | None = Field(

@@ -26,7 +26,7 @@ from service.session.fold import ForgottenError, Job, NotPromptError, digest
 from service.storage.folded import Folded
 from service.storage.store import RevisionError, Step, Store
 
-__all__ = ["Taken", "new_session_id", "take_epochs", "take_sweep"]
+__all__ = ["Folder", "Taken", "new_session_id", "take_epochs", "take_sweep"]
 
 _ATTEMPTS = 20
 _REBUILT_AT_ONCE = 200  # epochs folded in one piece of work, so that each stays within a worker's limits

@@ -22,6 +22,7 @@ from sqlalchemy.exc import IntegrityError
 
 from service.errors import ConflictError, NotFoundError
 from service.storage.folded import Folded
+from service.storage.rewrites import Rewrite, rewrite
 from service.storage.tables import estimates, measurements, sessions, snapshots, truths
 from service.storage.writes import GroupWriter, RevisionError, Write, apply
 
@@ -86,6 +87,17 @@ class Step:
         apply(self._connection, [write])
         if write.error is not None:
             raise write.error
+
+    def rewrite(self, new: Rewrite) -> None:
+        """Replace log, state and estimates, durably and all at once; raises RevisionError."""
+        if self._writer is None:
+            done = rewrite(self._connection, new)
+        else:
+            self._connection.rollback()
+            with self._writer.alone() as connection:
+                done = rewrite(connection, new)
+        if not done:
+            raise RevisionError
 
 
 class Store:

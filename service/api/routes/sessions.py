@@ -20,9 +20,11 @@ from service.messages.answers import Method, Session, SessionPage, Share
 from service.messages.documents import dump
 from service.messages.session_requests import SessionChange, SessionRequest
 from service.messages.truth import Truth
+from service.session.anchors_added import add_anchors
 from service.session.bodies import ParseTask, TruthTask, json_content
 from service.session.fold import engine_of
 from service.session.sessions import new_session_id
+from service.session.workers import Lane
 
 __all__ = ["Once", "OnceDep", "create_session", "read", "router", "session_document"]
 
@@ -159,20 +161,41 @@ async def read(session: SessionDep, here: ContextDep) -> dict[str, Any]:
     responses=described(Session),
 )
 async def change(request: Request, session: SessionDep, here: ContextDep) -> dict[str, Any]:
-    """Change a session's name; before epoch 0 also add anchors, and what is known of them."""
+    """Change a session's name, or add anchors and what is known of them.
+
+    A session that has epochs is computed anew, as if the new anchors had been there without being heard;
+    until that is done it stays as it was.
+    """
     body = await request.body()
     wanted = await here.parsed(session, body, ParseTask(SessionChange, body))
-    config = None
-    if not wanted.renames_only:
-        row = await here.run(here.store.session, session.id, session.key_id)
+
+    def changed(before: Mapping[str, Any]) -> dict[str, Any]:
         try:
-            changed = wanted.changed(json.loads(row.config))
+            request = wanted.changed(before)
         except ValueError as error:
             raise InputError(str(error)) from error
-        _check_anchors(changed, here)
-        await here.run(engine_of, changed.config())
-        config = dump(changed.config())
+        _check_anchors(request, here)
+        config = request.config()
+        engine_of(config)
+        return config
+
+    config, most = None, here.settings.max_epochs_per_request
+    if not wanted.renames_only:
+        row = await here.run(here.store.session, session.id, session.key_id)
+        new = await here.run(changed, json.loads(row.config))
+        if row.next_epoch == 0:
+            config = dump(new)
+        else:
+            await here.workers.hold(
+                Lane.BULK,
+                session.key_id,
+                session.id,
+                lambda worker: add_anchors(here.store, worker, session.id, session.key_id, changed, most),
+            )
+            here.pictures.forget(session.id)
+        here.forget_terms(session)
     await here.run(here.store.change, session.id, session.key_id, wanted.name, config)
+    here.bell.ring(session.id)
     return await read(session, here)
 
 
