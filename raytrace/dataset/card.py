@@ -115,7 +115,9 @@ def _unchecked(passive: Mapping[str, Any]) -> list[str]:
         return []
     return [
         f"Besides, {passive['refracted']} paths through walls and {passive['diffracted']} around corners",
-        "were found; nothing tells whether there are more.",
+        f"were found. Of the {passive.get('bent_once', 0)} that bend once,"
+        f" {passive.get('bent_once_missing', 0)} are missing;",
+        "of the others nothing tells whether there are more.",
         "",
     ]
 

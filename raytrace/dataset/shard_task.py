@@ -28,8 +28,9 @@ from raytrace.dataset.odometry import with_odometry
 from raytrace.dataset.output import Output
 from raytrace.dataset.shards import echo_shard, passive_shard, paths_shard
 from raytrace.plan.floorplan import FloorPlan
+from raytrace.propagation.bent_tracing import trace_bent
 from raytrace.propagation.engine import Scene, scene_of, specular_paths, traced
-from raytrace.propagation.passive import trace_bent
+from raytrace.propagation.passive import TraceReport
 from raytrace.propagation.paths import DIFFRACTION, REFRACTION, PathList, PathSet
 from raytrace.propagation.shadowing import shadowed
 from raytrace.radio.channel import add_noise
@@ -102,9 +103,9 @@ class MadeShard:
         Its epochs.
     entries : tuple of dict
         Entries of its files for the manifest. That of the paths has in ``check`` how they
-        compare with the image method, and in ``others`` how many bend, which it does not
-        know; that of the echo has in ``returns`` what was heard, that of the channels in
-        ``diffuse`` how many diffuse paths they contain.
+        compare with the image method, and in ``others`` how many bend, once or more often; that of
+        the echo has in ``returns`` what was heard, that of the channels in ``diffuse`` how many diffuse
+        paths they contain.
     seconds : dict of str to float
         Wall-clock seconds of each stage.
     """
@@ -171,11 +172,11 @@ def make_shard(task: ShardTask, folder: Path, stages: Stages | None = None) -> M
             )
             others: dict[str, int] = {}
             if plan.tracing.bends:
-                bent = trace_bent(plan, traced(radio), positions)
+                bent, once = trace_bent(plan, traced(radio), positions)
                 paths = PathSet.build(
                     PathList.concatenate([paths.flat(), bent]), len(positions), len(plan.anchors)
                 )
-                others = _counts(bent)
+                others = _counts(bent, once)
             if plan.has_bodies:
                 weaker = shadowed(plan, paths.flat(), positions, plan.times_s()[task.epochs])
                 paths = PathSet.build(weaker, len(positions), len(plan.anchors))
@@ -216,10 +217,11 @@ def make_shard(task: ShardTask, folder: Path, stages: Stages | None = None) -> M
     return MadeShard(task.first, task.stop, tuple(entries), dict(stages.seconds))
 
 
-def _counts(paths: PathList) -> dict[str, int]:
-    """How many paths refract somewhere, and how many diffract."""
+def _counts(paths: PathList, once: TraceReport) -> dict[str, int]:
+    """How many paths refract somewhere, how many diffract, and what is missing of those that bend once."""
     kinds = (("refracted", REFRACTION), ("diffracted", DIFFRACTION))
-    return {name: int(np.sum((paths.interactions == kind).any(axis=1))) for name, kind in kinds}
+    counts = {name: int(np.sum((paths.interactions == kind).any(axis=1))) for name, kind in kinds}
+    return {**counts, "bent_once": once.expected, "bent_once_missing": once.missing}
 
 
 def _sweep(task: ShardTask, radio: Scene) -> tuple[EchoSweep | None, NDArray[np.complex128]]:

@@ -3,8 +3,8 @@
 The image method constructs the paths anew from the plan in the truth file, and every
 path in the files is looked for among them, and the other way round. Hashes of all
 shards are checked on the way. As in generation, paths that are decided at a corner (to a
-millimetre, or by two bounces within a centimetre) may or may not have been traced. Paths
-through walls and around corners are left out.
+millimetre, or by two bounces within a centimetre) may or may not have been traced. Of paths
+through walls and around corners those that bend once are looked for, too.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from estimator.dataset import Dataset
 from estimator.errors import FileFormatError
 from raytrace.dataset.shards import stored_paths, stored_plan
-from raytrace.propagation.comparison import Comparison, compare
+from raytrace.propagation.comparison import Comparison, compare, compare_bent
 
 __all__ = ["verify"]
 
@@ -51,6 +51,8 @@ def verify(dataset: Dataset, progress: Progress | None = None) -> Comparison:
         if not np.array_equal(epochs, np.arange(done, done + len(epochs))):
             raise FileFormatError(f"{dataset.path}: expected paths from epoch {done} on, got {epochs[:1]}")
         paths = stored_paths(shard, plan.heading_rad).flat()
+        if plan.tracing.bends:
+            result = result + compare_bent(plan, track[epochs], paths, done)
         result = result + compare(plan, track[epochs], paths.select(paths.is_specular), done, times[epochs])
         done += len(epochs)
         if progress is not None:

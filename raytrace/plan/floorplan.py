@@ -54,7 +54,7 @@ class Tracing(Part):
 
     ``refraction`` adds paths through walls (each wall counts as a bounce), ``diffraction``
     those around the corners at which two walls meet, ``edge_diffraction`` those around free
-    ends and rims, too. There is no oracle for these.
+    ends and rims, too. Geometry proves those of the first two that bend once.
 
     The ``engine`` is ``sionna``, the ray tracer, or ``images``, the image method by itself: for
     specular paths alone, and where the ray tracer is not installed.

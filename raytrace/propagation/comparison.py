@@ -1,7 +1,8 @@
 """Traced paths against the image method, one by one: which, when, whence, and how strong.
 
 Paths that are decided at a corner (to a millimetre, or by two bounces within a centimetre) may
-or may not have been traced.
+or may not have been traced. Paths through one wall or around one corner are compared with those of
+:mod:`raytrace.propagation.bends`; of those that bend more often, or bounce besides, nothing is known.
 """
 
 from __future__ import annotations
@@ -14,13 +15,14 @@ from numpy.typing import NDArray
 
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
+from raytrace.propagation.bends import BentOnce, bent_once, corners_of, match_bends
 from raytrace.propagation.directions import directions_of
 from raytrace.propagation.images import image_paths
 from raytrace.propagation.passive import LEG_M, RIM_M
 from raytrace.propagation.paths import NO_SURFACE, PathList
 from raytrace.propagation.shadowing import shadowed
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["Comparison", "compare", "compare_bent"]
 
 # A path whose delay, arrival or magnitude differs by more is wrong.
 _DELAY_M = 1e-3
@@ -134,6 +136,47 @@ def compare(
         amplitude_error_db=_largest(amplitude_db),
         named=tuple(named[:_MOST_NAMED]),
     )
+
+
+def compare_bent(
+    plan: FloorPlan, positions_m: NDArray[np.float64], paths: PathList, first: int = 0
+) -> Comparison:
+    """Look for every path that bends once among those of the geometry, and the other way round.
+
+    Parameters are those of :func:`compare`; amplitudes are not compared.
+    """
+    known = bent_once(plan, positions_m, RIM_M)
+    match = match_bends(plan, positions_m, paths, known)
+    mine, delay_s = paths.select(match.paths), known.delay_s[match.known]
+    delay_m = np.abs(mine.delay_s - delay_s) * SPEED_OF_LIGHT_M_S
+    sine = np.linalg.norm(np.cross(_directions(mine), known.towards[match.known]), axis=-1)
+    angle_deg = np.rad2deg(np.arctan2(sine, np.sum(_directions(mine) * known.towards[match.known], axis=-1)))
+    off = match.paths[~((delay_m <= _DELAY_M) & (angle_deg <= _ANGLE_DEG))]
+    named = [_bend(plan, known, int(row), first) for row in match.missing[:_MOST_NAMED]]
+    for fault, rows in (("extra", match.extra), ("wrong", off)):
+        named += _named(plan, fault, paths.select(rows), first)
+    return Comparison(
+        expected=len(match.paths) + len(match.missing),
+        found=len(match.paths),
+        missing=len(match.missing),
+        extra=len(match.extra),
+        wrong=len(off),
+        delay_error_m=_largest(delay_m),
+        angle_error_deg=_largest(angle_deg),
+        named=tuple(named[:_MOST_NAMED]),
+    )
+
+
+def _bend(plan: FloorPlan, known: BentOnce, row: int, first: int) -> dict[str, Any]:
+    """A missing path that bends once: the surface that it passes, or the walls of its corner."""
+    surfaces, name = len(plan.surface_names), int(known.name[row])
+    walls = corners_of(plan).faces[name - surfaces] if name >= surfaces else [name]
+    return {
+        "fault": "missing",
+        "epoch": first + int(known.epoch[row]),
+        "anchor": plan.anchors[int(known.anchor[row])].name,
+        "surfaces": [plan.surface_names[wall] for wall in walls],
+    }
 
 
 def _largest(values: NDArray[np.float64]) -> float:

@@ -24,19 +24,32 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.bounces import sharpened
 from raytrace.propagation.images import image_paths
-from raytrace.propagation.paths import PathList, PathSet
+from raytrace.propagation.paths import DIFFRACTION, NO_SURFACE, PathList, PathSet
 from raytrace.propagation.scene import RadioScene, build_scene
 from raytrace.propagation.solver import Bends, solve
 
-__all__ = ["LEG_M", "RIM_M", "TraceReport", "trace_bent", "trace_passive", "trace_specular"]
+__all__ = [
+    "LEG_M",
+    "RIM_M",
+    "TraceReport",
+    "distinct_paths",
+    "trace_batches",
+    "trace_passive",
+    "trace_specular",
+]
 
 _BATCH = 256
 RIM_M = 1e-3
 # The tracer's own limit is 10 mm; its single precision misjudges by up to a millimetre.
 LEG_M = 12e-3
+# What the tracer's single precision makes of one length, metres, is within this.
+_SAME_LENGTH_M = 1e-3
+# Directions in which paths around corners arrive are told apart in steps of this, radians.
+_SAME_BEARING_RAD = 0.01
 # Rays of the attempts, as shares of the plan's, and positions in a batch. What the second misses is
 # mostly a surface so small that no ray met it; fewer positions at a time pay for more rays.
 _ATTEMPTS = ((1 / 6, _BATCH), (0.5, 128), (2, 64), (8, 32), (32, 16), (256, 4))
@@ -121,7 +134,7 @@ def trace_specular(
 
     parts, retraced = [], 0
     for index, source in enumerate(sources_m):
-        trace = partial(_trace, radio.tall, source, index, positions_m, depth=depth, polarised=False)
+        trace = partial(trace_batches, radio.tall, source, index, positions_m, depth=depth, polarised=False)
         mine = exact.select(exact.anchor == index)
         part, again = _complete(trace, len(positions_m), plan.tracing.samples, mine.epoch, keys(mine), keys)
         parts.append(part)
@@ -167,52 +180,12 @@ def _complete(
             retraced += where.size
         rays = max(1, round(share * samples))
         found = trace(np.roll(where, max(attempt - 1, 0)), rays, width=width)
-        part = found if part is None else _distinct(PathList.concatenate([part, found]))
+        part = found if part is None else distinct_paths(PathList.concatenate([part, found]))
     assert part is not None
     return part, retraced
 
 
-def trace_bent(plan: FloorPlan, radio: RadioScene, positions_m: Array) -> PathList:
-    """Paths through walls and around corners, as ``plan.tracing`` asks, from every anchor.
-
-    The image method knows none of them, so nothing tells whether one was lost in a hash
-    collision; every position is traced twice, in batches that differ.
-
-    Parameters
-    ----------
-    plan, radio
-        As for :func:`trace_passive`.
-    positions_m : ndarray, shape (n, 3)
-        Positions of the agent, metres.
-
-    Returns
-    -------
-    PathList
-        Paths with at least one refraction or diffraction; ``epoch`` counts the positions.
-    """
-    tracing = plan.tracing
-    bends = Bends(tracing.refraction, tracing.diffraction, tracing.edge_diffraction)
-    everywhere = np.arange(len(positions_m))
-    parts = [
-        _trace(
-            radio,
-            source,
-            index,
-            positions_m,
-            epochs,
-            samples,
-            depth=tracing.depth,
-            polarised=plan.polarised,
-            bends=bends,
-        )
-        for index, source in enumerate(plan.anchors_m())
-        for epochs, samples in ((everywhere, tracing.samples), (np.roll(everywhere, 97), 4 * tracing.samples))
-    ]
-    paths = PathList.concatenate(parts)
-    return _distinct(paths.select(~paths.is_specular))
-
-
-def _trace(
+def trace_batches(
     radio: RadioScene,
     source: Array,
     index: int,
@@ -225,7 +198,21 @@ def _trace(
     bends: Bends | None = None,
     width: int = _BATCH,
 ) -> PathList:
-    """Paths of one source to some epochs, in full batches: the last is filled by repeating epochs."""
+    """Trace the paths of one source to some epochs, in full batches: the last is filled by repeating epochs.
+
+    Parameters
+    ----------
+    radio, source, depth, samples, polarised, bends
+        As for :func:`raytrace.propagation.solver.solve`.
+    index : int
+        ``PathList.anchor`` of the paths.
+    positions : ndarray, shape (n, 3)
+        Positions of the agent, metres.
+    epochs : ndarray of int64, shape (m,)
+        Rows of ``positions`` to trace to: ``PathList.epoch``.
+    width : int
+        Positions in a batch.
+    """
     filled = np.resize(epochs, -(-len(epochs) // width) * width)
     parts = []
     for batch in filled.reshape(-1, width):
@@ -239,13 +226,22 @@ def _trace(
             bends=bends,
         )
         parts.append(replace(traced, epoch=batch[traced.epoch], anchor=np.full(len(traced), index)))
-    return _distinct(PathList.concatenate(parts))
+    return distinct_paths(PathList.concatenate(parts))
 
 
-def _distinct(paths: PathList) -> PathList:
-    """One of each path, the shortest."""
-    names = [*paths.interactions.T, *paths.walls.T, paths.anchor, paths.epoch]
+def distinct_paths(paths: PathList) -> PathList:
+    """One of each path, the shortest.
+
+    A path around a corner names either of its walls, and a wall has two ends to go around: delay and
+    direction tell which are one.
+    """
+    around = paths.interactions == DIFFRACTION
+    walls = np.where(around, NO_SURFACE, paths.walls)
+    bearing = np.where(around.any(axis=1), np.rint(paths.arrival_azimuth_rad / _SAME_BEARING_RAD), 0.0)
+    names = [*paths.interactions.T, *walls.T, bearing, paths.anchor, paths.epoch]
     order = np.lexsort([paths.delay_s, *names])
     new = np.ones(len(paths), dtype=np.bool_)
     new[1:] = np.any([name[order][1:] != name[order][:-1] for name in names], axis=0)
+    longer = np.diff(paths.delay_s[order]) * SPEED_OF_LIGHT_M_S > _SAME_LENGTH_M
+    new[1:] |= around.any(axis=1)[order][1:] & longer
     return paths.select(order[new])

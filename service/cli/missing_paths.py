@@ -34,6 +34,8 @@ def tell_missing(datasets: Iterable[Path]) -> bool:
         counts: Counter[str] = Counter()
         for entry in read_manifest(dataset).get("shards", ()):
             counts.update({**entry.get("check", {})})
+            bent = entry.get("others", {})
+            counts.update({"expected": bent.get("bent_once", 0), "missing": bent.get("bent_once_missing", 0)})
             echo = entry.get("returns", {})
             counts.update({name: echo.get(name, 0) for name in ("expected", "missing", "extra")})
         faults = [f"{counts[fault]} {fault}" for fault in ("missing", "extra") if counts[fault]]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +16,13 @@ from raytrace.dataset.verify import verify
 from raytrace.plan.files import load_floorplan, parse_floorplan, updated
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.plan.materials import slab_reflection, slab_transmission
-from raytrace.propagation.passive import trace_bent, trace_passive, trace_specular
-from raytrace.propagation.paths import DIFFRACTION, REFRACTION, SPECULAR
-from raytrace.propagation.scene import build_scene
+from raytrace.propagation import bent_tracing
+from raytrace.propagation.bends import bent_once, corners_of, match_bends
+from raytrace.propagation.bent_tracing import trace_bent
+from raytrace.propagation.comparison import compare_bent
+from raytrace.propagation.passive import RIM_M, trace_passive, trace_specular
+from raytrace.propagation.paths import DIFFRACTION, REFRACTION, SPECULAR, PathList
+from raytrace.propagation.scene import RadioScene, build_scene
 
 
 def divided() -> FloorPlan:
@@ -52,7 +58,8 @@ def test_wall_weakens_the_line_of_sight_as_a_slab_does() -> None:
     """Straight through the partition: the length of the straight line, free space times (43b) to 0.05 dB."""
     plan = divided()
     radio = build_scene(plan, plan.radio.carrier_hz)
-    paths = trace_bent(plan, radio, plan.track())
+    paths, report = trace_bent(plan, radio, plan.track())
+    assert (report.expected, report.found, report.missing) == (12, 12, 0)
     straight = paths.select(paths.order == 1)
     assert len(straight) == 12
     assert np.all(straight.interactions[:, 0] == REFRACTION)
@@ -83,7 +90,7 @@ def test_corner_diffracts_like_a_knife_edge() -> None:
     source, corner = plan.anchors_m()[1], np.array([50.0, 40.0])
     across = np.linspace(68.0, 70.15, 44)  # the edge of the shadow is at 70
     places = np.column_stack([across, np.full(44, 50.0), np.full(44, source[2])])
-    bent = trace_bent(plan, radio, places)
+    bent, _ = trace_bent(plan, radio, places)
     bent = bent.select(bent.anchor == 1)
     assert np.all(bent.interactions[:, 0] == DIFFRACTION)
     np.testing.assert_array_equal(bent.epoch, np.arange(44))
@@ -104,6 +111,78 @@ def test_corner_diffracts_like_a_knife_edge() -> None:
     assert specular.valid[:, 1, 0].any()
 
 
+LARGE = [
+    pytest.param(name, marks=pytest.mark.soak) for name in ("hall", "l-room-hard", "office", "warehouse")
+]
+
+
+@pytest.mark.parametrize("scene", ["corridor", "l-room", *LARGE])
+def test_paths_that_bend_once_are_complete(scene: str) -> None:
+    """Through walls and around corners of every shipped scene: none lost, none extra, each once."""
+    plan = updated(
+        load_floorplan(scene),
+        {"tracing.refraction": True, "tracing.diffraction": True, "tracing.depth": 1},
+    )
+    positions = plan.track()[np.linspace(0, plan.agent.epochs - 1, 10).astype(int)]
+    paths, report = trace_bent(plan, build_scene(plan, plan.radio.carrier_hz), positions)
+    assert report.found == report.expected > 0
+    found = compare_bent(plan, positions, paths)
+    assert found.ok, found.named
+    assert found.found == report.found == len(paths)
+    assert found.delay_error_m < 1e-9
+    # What was found is what is there: without a path it is missing, a millimetre longer it is wrong.
+    fewer = compare_bent(plan, positions, paths.select(np.arange(1, len(paths))))
+    assert (fewer.missing, fewer.extra) in ((1, 0), (0, 0))
+    later = replace(paths, delay_s=paths.delay_s + 2e-3 / SPEED_OF_LIGHT_M_S)
+    assert compare_bent(plan, positions, later).wrong > 0.99 * len(paths)
+    elsewhere = replace(paths, delay_s=paths.delay_s + 30.0 / SPEED_OF_LIGHT_M_S)
+    around = paths.interactions[:, 0] == DIFFRACTION
+    assert compare_bent(plan, positions, elsewhere.select(around)).extra > 0.9 * around.sum()
+
+
+def test_corners_are_where_two_alike_walls_meet() -> None:
+    """One inner corner of the L, both its faces out of the wedge; other heights and materials make none."""
+    plan = load_floorplan("l-room")
+    corners = corners_of(plan)
+    assert len(corners.place_m) == 6
+    inner = int(np.flatnonzero(np.all(corners.place_m == (50.0, 40.0), axis=1))[0])
+    assert sorted(map(tuple, corners.normals[inner].tolist())) == [(0.0, -1.0), (1.0, 0.0)]
+    data = plan.model_dump(mode="json", exclude_none=True)
+    data["walls"][0]["height_m"] = 2.9
+    data["walls"][3]["material"] = "brick"
+    assert len(corners_of(parse_floorplan(data)).place_m) == 2
+
+
+def test_walls_of_a_corner_bend_alone_as_they_do_among_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Traced with the walls of its corner alone, made large, a path has the gain that it has in the plan."""
+    plan = updated(load_floorplan("l-room"), {"tracing.diffraction": True, "tracing.depth": 1})
+    positions = plan.track()[np.arange(0, 200, 16)]
+    radio = build_scene(plan, plan.radio.carrier_hz)
+    known = bent_once(plan, positions, RIM_M)
+    paths, _ = trace_bent(plan, radio, positions)
+    monkeypatch.setattr(bent_tracing, "trace_batches", _nothing_in(radio, bent_tracing.trace_batches))
+    alone, report = trace_bent(plan, radio, positions)
+    assert report.retraced == known.owed.sum()
+    both = [match_bends(plan, positions, some, known) for some in (paths, alone)]
+    rows = [dict(zip(m.known.tolist(), m.paths.tolist(), strict=True)) for m in both]
+    common = sorted(set(rows[0]) & set(rows[1]))
+    assert len(common) > 20
+    one, other = (
+        some.amplitude[[row[k] for k in common]] for some, row in zip((paths, alone), rows, strict=True)
+    )
+    np.testing.assert_allclose(np.abs(one / other), 1.0, rtol=2e-2)
+
+
+def _nothing_in(radio: RadioScene, trace: Callable[..., PathList]) -> Callable[..., PathList]:
+    """A tracer that finds nothing in one scene."""
+
+    def found(scene: RadioScene, *arguments: object, **options: object) -> PathList:
+        paths = trace(scene, *arguments, **options)
+        return paths.select(np.zeros(len(paths), dtype=bool)) if scene is radio else paths
+
+    return found
+
+
 def test_without_switches_walls_are_opaque() -> None:
     """The plan's defaults bend nothing, and specular paths are the same with the switches and without."""
     plan = divided()
@@ -116,7 +195,7 @@ def test_without_switches_walls_are_opaque() -> None:
 
 
 def test_datasets_mark_what_paths_do(tmp_path: Path) -> None:
-    """Counts are in the manifest, kinds in the files; check and truth look at specular paths alone."""
+    """Counts are in the manifest, kinds in the files; what bends more than once is not checked."""
     plan = updated(divided(), {"tracing.diffraction": True})
     with_bends = generate(plan, tmp_path / "bent", seed=1).dataset
     without = generate(
@@ -126,7 +205,9 @@ def test_datasets_mark_what_paths_do(tmp_path: Path) -> None:
     ).dataset
     counts, opaque = (d.manifest["statistics"]["passive"] for d in (with_bends, without))
     assert counts["refracted"] >= 12 + 12
-    assert {**opaque, **{k: counts[k] for k in ("refracted", "diffracted")}} == counts
+    bent = ("refracted", "diffracted", "bent_once", "bent_once_missing")
+    assert {**opaque, **{k: counts[k] for k in bent}} == counts
+    assert (counts["bent_once"], counts["bent_once_missing"]) == (12, 0)
     paths = next(with_bends.shards("paths"))
     kinds = paths["interactions"].values
     assert paths["interactions"].dims == ("epoch", "anchor", "path", "bounce")
@@ -137,7 +218,7 @@ def test_datasets_mark_what_paths_do(tmp_path: Path) -> None:
     assert "through walls" not in (tmp_path / "opaque" / "CARD.md").read_text()
     checked = verify(with_bends)
     assert checked.ok
-    assert checked.found == counts["found"]
+    assert checked.found == counts["found"] + counts["bent_once"]
     power = [np.mean(np.abs(next(d.shards("passive"))["cfr_re"].values) ** 2) for d in (with_bends, without)]
     assert power[0] > 100 * power[1]  # the agent now hears the anchor through the glass
 
