@@ -206,12 +206,20 @@ class MapAnchor(Answer):
     covariance_m2: Matrix | None
 
 
+class MapIntegrity(Answer):
+    """Whether the map may be relied on; `state` of the session has the reasons."""
+
+    state: Literal["ok", "doubtful", "lost", "unknown"]
+    protection_level_m: float | None
+
+
 class Map(Answer):
     """Walls, anchors, agent and track in one frame; other members in other formats."""
 
     epoch: int | None = None
     time_s: float | None = None
     frame: Literal["estimator", "plan"] | None = None
+    integrity: MapIntegrity | None = None
     agent: MapAgent | None = None
     anchors: list[MapAnchor] | None = None
     walls: list[MapWall] | None = None

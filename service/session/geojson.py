@@ -28,7 +28,13 @@ def feature_collection(document: dict[str, Any]) -> dict[str, Any]:
     ]
     agent = document["agent"]
     features.append(
-        _feature("Point", agent["position_m"], kind="agent", covariance_m2=agent["covariance_m2"])
+        _feature(
+            "Point",
+            agent["position_m"],
+            kind="agent",
+            covariance_m2=agent["covariance_m2"],
+            integrity=document["integrity"],
+        )
     )
     if len(document["track_m"]) > 1:
         features.append(_feature("LineString", document["track_m"], kind="track"))

@@ -89,6 +89,10 @@ def _markers(stamp: int, document: Mapping[str, Any]) -> list[dict[str, Any]]:
             place = anchor["position_m"]
             found.append(_marker(stamp, "anchors", number, _SPHERE, _ANCHOR, place))
             found.append(_marker(stamp, "names", number, _TEXT, _ANCHOR, place, text=anchor["name"]))
+    state = document["integrity"]["state"]
+    if state in ("doubtful", "lost"):
+        at = document["agent"]["position_m"]
+        found.append(_marker(stamp, "integrity", 0, _TEXT, _ANCHOR, at, text=state))
     found.append(_marker(stamp, "track", 0, _LINE_STRIP, _TRACK, points=document["track_m"]))
     return found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,6 +15,7 @@ from sqlalchemy import Connection, Row
 from estimator.evaluation.wall_lines import line_points, line_std, seen_span
 from estimator.measurement_files import save_measurements
 from estimator.result import SlamResult, save_result
+from estimator.slam.protocol import INTEGRITY_STATES
 from service.errors import ConflictError
 from service.messages.documents import read_epoch, read_estimate, read_sweep
 from service.messages.packed import RunTerms, pack_estimate, unpack_run
@@ -83,13 +85,25 @@ def measurements_file(store: Store, row: Row[Any], connection: Connection) -> by
 
 
 def picture(result: SlamResult, title: str, suffix: str) -> bytes:
-    """The map as a picture, ``"png"`` or ``"svg"``."""
+    """The map as a picture, ``"png"`` or ``"svg"``; its title says where it is not to be relied on."""
     from estimator.evaluation.pictures import draw_map, save_figure  # Matplotlib is slow to import
 
+    state = _integrity(result)["state"]
+    if state in ("doubtful", "lost"):
+        title = f"{state.upper()}: {title or 'do not rely on it'}"
     with TemporaryDirectory(prefix="hapslam-") as folder:
         file = Path(folder) / f"map.{suffix}"
         save_figure(draw_map(result, title=title or None), file)
         return file.read_bytes()
+
+
+def _integrity(result: SlamResult) -> dict[str, Any]:
+    """Whether the last epoch may be relied on, as far as the engine tells."""
+    if result.integrity_state is None or result.protection_level_m is None:
+        return {"state": "unknown", "protection_level_m": None}
+    number, level = int(result.integrity_state[-1]), float(result.protection_level_m[-1])
+    state = INTEGRITY_STATES[number] if number >= 0 else "unknown"
+    return {"state": state, "protection_level_m": level if math.isfinite(level) else None}
 
 
 def map_document(result: SlamResult, start_frame: dict[str, Any] | None) -> dict[str, Any]:
@@ -131,6 +145,7 @@ def map_document(result: SlamResult, start_frame: dict[str, Any] | None) -> dict
         "epoch": int(result.epoch[-1]),
         "time_s": float(result.time_s[-1]),
         "frame": "estimator" if start_frame is None else "plan",
+        "integrity": _integrity(result),
         "agent": {
             "position_m": place(agent[:2]),
             "velocity_m_s": (turn @ agent[2:]).tolist(),

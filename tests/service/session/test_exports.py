@@ -93,3 +93,37 @@ def test_features_name_their_reference_system(client: TestClient, url: str) -> N
     assert [feature["place"] for feature in document["features"]] == [each["geometry"] for each in plain]
     assert all(feature["geometry"] is None for feature in document["features"])
     assert {feature["featureType"] for feature in document["features"]} >= {"wall", "agent", "track"}
+
+
+def test_what_is_not_to_be_relied_on_says_so(
+    client: TestClient, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A lost epoch is told by the map, GeoJSON and MCAP; the picture of an earlier epoch stays as it is."""
+    plain = client.get(f"{url}/map").json()["integrity"]
+    told = client.get(f"{url}/state").json()["integrity"]
+    assert plain == {name: told[name] for name in ("state", "protection_level_m")}
+    from service.session import results
+
+    drawn: list[str] = []
+    monkeypatch.setattr("estimator.evaluation.pictures.draw_map", lambda result, title: drawn.append(title))
+    monkeypatch.setattr(
+        "estimator.evaluation.pictures.save_figure", lambda figure, file: file.write_bytes(b"")
+    )
+    unpack = results.unpack_run
+
+    def lost(*given: Any) -> Any:
+        result = unpack(*given)
+        result.integrity_state[-1] = 2
+        return result
+
+    monkeypatch.setattr(results, "unpack_run", lost)
+    assert client.get(f"{url}/map").json()["integrity"]["state"] == "lost"
+    features = client.get(f"{url}/map?format=geojson").json()["features"]
+    (agent,) = [each["properties"] for each in features if each["properties"]["kind"] == "agent"]
+    assert agent["integrity"]["state"] == "lost"
+    client.get(f"{url}/map.png")
+    assert drawn[0].startswith("LOST: ")
+    content = client.get(f"{url}/export?format=mcap").content
+    reader = make_reader(io.BytesIO(content), decoder_factories=[DecoderFactory()])
+    marks = next(message[3] for message in reader.iter_decoded_messages(topics=["/map"])).markers
+    assert [mark.text for mark in marks if mark.ns == "integrity"] == ["lost"]
