@@ -192,10 +192,11 @@ export class MapView {
     c.lineJoin = c.lineCap = "round";
     this.grid();
     if (this.scene.showTruth && this.scene.truth) this.truth(this.scene.truth);
-    this.scene.other?.draw(this);
-    if (!this.scene.state) return;
-    if (this.scene.showCandidates) this.candidates();
-    this.estimates();
+    if (this.scene.state) {
+      if (this.scene.showCandidates) this.candidates();
+      this.estimates();
+    }
+    this.scene.other?.draw(this); // on top: where both went the same way, both are seen
   }
 
   grid() {

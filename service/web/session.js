@@ -328,14 +328,18 @@ export class SessionView {
 
   // Anchors with what is known of each; clocks and heights where the engine estimates them.
   anchorTable(anchors) {
-    const more = [["clock_bias", "Clock, m"], ["height", "Height, m"]].filter(([name]) => anchors.some((anchor) => `${name}_m` in anchor));
-    const heads = ["Name", "Place, m", "± m", "Exists", ...more.map(([, head]) => head)];
-    $("anchors").tHead.rows[0].replaceChildren(...heads.map((head) => text("th", head)));
-    $("anchors").tBodies[0].replaceChildren(...anchors.map((anchor) => {
+    $("anchors").tBodies[0].replaceChildren(...anchors.flatMap((anchor) => {
       const place = anchor.located ? this.frame.place(anchor.position_m).map((v) => v.toFixed(2)).join(", ") : "not located";
-      const known = more.map(([name]) => anchor[`${name}_m`] == null ? "–" : `${anchor[`${name}_m`].toFixed(2)} ± ${anchor[`${name}_std_m`].toFixed(2)}`);
-      return tableRow(anchor.name, this.selected?.anchor === anchor.name,
-        [anchor.name, place, anchor.located ? spread(anchor.covariance_m2) : "–", percent(anchor.existence), ...known]);
+      const selected = this.selected?.anchor === anchor.name;
+      const row = tableRow(anchor.name, selected,
+        [anchor.name, place, anchor.located ? spread(anchor.covariance_m2) : "–", percent(anchor.existence)]);
+      const known = [["clock", "clock_bias"], ["height", "height"]].filter(([, name]) => anchor[`${name}_m`] != null)
+        .map(([word, name]) => `${word} ${anchor[`${name}_m`].toFixed(2)} ± ${anchor[`${name}_std_m`].toFixed(2)} m`);
+      if (!known.length) return [row];
+      const more = tableRow(anchor.name, selected, [known.join(", ")]);
+      more.className = "more";
+      more.cells[0].colSpan = row.cells.length;
+      return [row, more];
     }));
   }
 
