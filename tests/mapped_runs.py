@@ -8,11 +8,13 @@ from estimator.geometry import segments_cross, vrp_of_line
 from estimator.joint_map import JointMap
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.result import SlamResult
+from estimator.twin.bounces import gain_noise_db
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 from raytrace.plan.floorplan import FloorPlan
 from raytrace.propagation.images import image_paths
 
 STD_M = 0.03
+RESOLVED_M = 0.3
 
 
 def lines_of(plan: FloorPlan, among: list[str] | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -45,6 +47,26 @@ def _flashes(plan: FloorPlan, line: np.ndarray, agent: np.ndarray, rng: np.rando
     return tuple(found)
 
 
+def _resolved(lengths: np.ndarray, amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Paths (ascending) that a link of 400 MHz tells apart: the strongest of each cluster, and their sums."""
+    if not len(lengths):
+        return np.zeros(0, dtype=int), amplitude
+    group = np.concatenate([[0], np.cumsum(np.diff(lengths) > RESOLVED_M)])
+    strongest = [
+        np.flatnonzero(group == g)[np.argmax(np.abs(amplitude[group == g]))] for g in range(group[-1] + 1)
+    ]
+    total = np.array([amplitude[group == g].sum() for g in range(group[-1] + 1)])
+    return np.array(strongest), total
+
+
+def _gain_noise(lengths: np.ndarray) -> np.ndarray:
+    """Standard deviations of gains at 400 MHz by the distance of the next path."""
+    if len(lengths) < 2:
+        return np.full(len(lengths), 0.05)
+    gap = np.abs(lengths[:, None] - lengths) + 1e9 * np.eye(len(lengths))
+    return gain_noise_db(gap.min(axis=1))
+
+
 def mapped_run(
     plan: FloorPlan,
     rng: np.random.Generator,
@@ -75,19 +97,19 @@ def mapped_run(
     for t in range(epochs):
         of_anchors = []
         for k in range(anchors):
-            valid = paths.valid[t, k]
-            length = paths.delay_s[t, k][valid] * SPEED_OF_LIGHT_M_S + STD_M * rng.standard_normal(
-                valid.sum()
+            order = np.flatnonzero(paths.valid[t, k])
+            merged, amplitude = _resolved(
+                paths.delay_s[t, k][order] * SPEED_OF_LIGHT_M_S, paths.amplitude[t, k][order]
             )
-            gain = 20.0 * np.log10(np.abs(paths.amplitude[t, k][valid])) + offset_db
-            gain = gain + 0.05 * rng.standard_normal(valid.sum())
-            of_anchors.append(
-                AnchorPaths(
-                    length / SPEED_OF_LIGHT_M_S, np.full(valid.sum(), STD_M / SPEED_OF_LIGHT_M_S), gain
-                )
-            )
-            for number, walls in enumerate(paths.walls[t, k][valid]):
-                lines = [int(line[wall]) for wall in walls if wall >= 0]
+            order = order[merged]
+            noise = STD_M * rng.standard_normal(len(order))
+            length = paths.delay_s[t, k][order] * SPEED_OF_LIGHT_M_S + noise
+            gain = 20.0 * np.log10(np.abs(amplitude)) + offset_db
+            gain = gain + _gain_noise(length) * rng.standard_normal(len(order))
+            std = np.full(len(order), STD_M / SPEED_OF_LIGHT_M_S)
+            of_anchors.append(AnchorPaths(length / SPEED_OF_LIGHT_M_S, std, gain))
+            for number, walls in enumerate(paths.walls[t, k][order]):
+                lines = [int(line[wall]) if wall < len(line) else -1 for wall in walls if wall >= 0]
                 if -1 in lines or len(lines) > 2 or len(set(lines)) < len(lines):
                     continue
                 if len(lines) == 2 and rng.random() < mistaken:

@@ -20,6 +20,7 @@ PAGES = [
     "docs/estimator.md",
     "docs/measured.md",
     "docs/plans.md",
+    "docs/twin.md",
 ]
 
 

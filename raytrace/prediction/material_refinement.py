@@ -51,6 +51,8 @@ class ClusterFit:
         What one cluster costs at most in the end, nats: some hold paths that the map does not know.
     rounds : int
         Times that every wall is visited with each of them.
+    tempering : float
+        Share of the log likelihood that probabilities are told from: neighbours along a track fade alike.
     starts : tuple of str
         All walls start as they are, and as each of these; the likeliest end counts.
     """
@@ -61,6 +63,7 @@ class ClusterFit:
     floors: tuple[float, ...] = (1.0, 0.4, 0.1)
     most: float = 8.0
     rounds: int = 4
+    tempering: float = 0.1
     starts: tuple[str, ...] = ("concrete", "plasterboard")
 
     def __post_init__(self) -> None:
@@ -272,7 +275,7 @@ def _cost(power: Array, cluster: Index, measured: Array, floor: float, most: flo
 
 def _probabilities(costs: Array, slabs: list[tuple[str, float]], config: ClusterFit) -> dict[str, float]:
     """Posterior of the materials, thicknesses being as likely before."""
-    weight = np.exp(-(costs - costs.min()))
+    weight = np.exp(-config.tempering * (costs - costs.min()))
     total = {
         m: float(sum(w for w, s in zip(weight, slabs, strict=True) if s[0] == m)) for m in config.materials
     }

@@ -64,6 +64,14 @@ def twin(
             metavar="DATASET", help="Dataset that was mapped; by default the one that the result names."
         ),
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="True coverage, predicted coverage and their difference: .png, .svg or .pdf.",
+            callback=made_parents,
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write the estimated map as a floor plan that can be traced again."""
@@ -87,6 +95,8 @@ def twin(
     plan = refined(twin_plan(built, out.stem[:100], _radio(measured), agent_height), built, measured)
     save_floorplan(plan, out)
     facts = _facts(plan, out)
+    if picture is not None:
+        _draw(plan, result, found, truth, picture)
     if score is not None:
         frame = _mapped_frame(result, found, truth)
         facts["score"] = _trial(plan, score, frame, found, measured)
@@ -153,6 +163,18 @@ def _mapped_frame(result: Path, found: SlamResult, truth: Path | None) -> tuple[
 
     known = find_truth(result, found, truth)
     return known.attrs["start_m"], float(known.attrs["heading_rad"])
+
+
+def _draw(plan: FloorPlan, result: Path, found: SlamResult, truth: Path | None, out: Path) -> None:
+    from estimator.evaluation.pictures import require_picture_name, save_figure
+    from estimator.pipeline import find_truth
+    from raytrace.dataset.shards import stored_plan
+    from raytrace.prediction.pictures import draw_comparison
+
+    require_picture_name(out)
+    true = stored_plan(find_truth(result, found, truth))
+    frame = _mapped_frame(result, found, truth)
+    save_figure(draw_comparison(true, plan, *frame, found.agent_mean[:, :2]), out)
 
 
 def _trial(

@@ -77,8 +77,11 @@ def test_scores_are_told_in_words(main, folder, tmp_path):
         tmp_path / "twin.toml",
         "--score",
         folder / "other",
+        "--picture",
+        tmp_path / "coverage.png",
     )
     assert done.status == 0, done.err
+    assert (tmp_path / "coverage.png").stat().st_size > 10_000
     for words in ("assumed walls        1", "nearest neighbour", "line of sight right 1.000", "wall ends"):
         assert words in done.out
 
