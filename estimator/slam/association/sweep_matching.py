@@ -18,7 +18,7 @@ from estimator.slam.models.kalman import projected, scalar_update
 from estimator.slam.models.state_vector import ECHO_BIAS, FIRST_ANCHOR, PER_ANCHOR, THETA, Layout
 from estimator.slam.models.sweeps import FLASH_ENTRIES, flash_of
 
-__all__ = ["MatchModel", "heading_of", "match_flashes"]
+__all__ = ["MatchModel", "double_bounce", "heading_of", "is_double_bounce", "match_flashes"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -170,6 +170,46 @@ def _new_density(
 
 
 @compiled
+def double_bounce(
+    px: float, py: float, vx: float, vy: float, wx: float, wy: float
+) -> tuple[float, float, float]:
+    """How a flash over two walls looks from an agent: its range, its middle direction and half its spread.
+
+    There and back over both walls the range is half the way to the agent's image over both; the direction
+    lies between those in which the way there begins and the way back ends.
+    """
+    ax, ay = mirror(px, py, vx, vy)
+    ax, ay = mirror(ax, ay, wx, wy)
+    bx, by = mirror(px, py, wx, wy)
+    bx, by = mirror(bx, by, vx, vy)
+    arrival, departure = np.arctan2(ay - py, ax - px), np.arctan2(by - py, bx - px)
+    half = 0.5 * wrapped(departure - arrival)
+    return 0.5 * np.hypot(ax - px, ay - py), arrival + half, abs(half)
+
+
+@compiled
+def is_double_bounce(
+    layout: Layout, mean: Array, present: NDArray[np.bool_], flash: Array, range_m: float, azimuth_rad: float
+) -> bool:
+    """Whether a flash, as the agent's place and its image (2, 2), comes over two of the walls ``present``.
+
+    Its range and direction may be off by ``range_m`` and ``azimuth_rad``.
+    """
+    first = FIRST_ANCHOR + PER_ANCHOR * layout.anchors
+    px, py = flash[0, 0], flash[0, 1]
+    dx, dy = flash[1, 0] - px, flash[1, 1] - py
+    reach, along = 0.5 * np.hypot(dx, dy), np.arctan2(dy, dx)
+    for i in range(layout.slots):
+        for j in range(i):
+            if present[i] and present[j]:
+                a, b = first + 2 * i, first + 2 * j
+                own, middle, half = double_bounce(px, py, mean[a], mean[a + 1], mean[b], mean[b + 1])
+                if abs(own - reach) < range_m and abs(wrapped(along - middle)) < half + azimuth_rad:
+                    return True
+    return False
+
+
+@compiled
 def _ghost_density(
     layout: Layout,
     mean: Array,
@@ -179,11 +219,7 @@ def _ghost_density(
     noise: Array,
     model: MatchModel,
 ) -> float:
-    """Density per square metre of a flash at (x, y) that is a double bounce over two known walls.
-
-    There and back over both walls the range is half the way to the agent's image over both; the direction
-    lies between those in which the way there begins and the way back ends.
-    """
+    """Density per square metre of a flash at (x, y) that is a double bounce over two known walls."""
     reach = max(np.hypot(x, y), 1e-3)
     range_m, along = 0.5 * reach - mean[ECHO_BIAS], np.arctan2(y, x) - mean[THETA]
     variance = model.ghost_std_m**2 + 0.25 * (
@@ -200,16 +236,11 @@ def _ghost_density(
                 continue
             pairs += 1
             wx, wy = mean[first + 2 * j], mean[first + 2 * j + 1]
-            ax, ay = mirror(px, py, vx, vy)
-            ax, ay = mirror(ax, ay, wx, wy)
-            gap = 0.5 * np.hypot(ax - px, ay - py) - range_m
+            own, middle, half = double_bounce(px, py, vx, vy, wx, wy)
+            gap = own - range_m
             if gap * gap > 16.0 * variance:
                 continue
-            bx, by = mirror(px, py, wx, wy)
-            bx, by = mirror(bx, by, vx, vy)
-            arrival, departure = np.arctan2(ay - py, ax - px), np.arctan2(by - py, bx - px)
-            half = 0.5 * wrapped(departure - arrival)
-            off, width = abs(wrapped(along - arrival - half)), abs(half) + model.ghost_azimuth_rad
+            off, width = abs(wrapped(along - middle)), half + model.ghost_azimuth_rad
             if off < width:
                 density += np.exp(-0.5 * gap * gap / variance) / (
                     np.sqrt(2.0 * np.pi * variance) * 2.0 * width

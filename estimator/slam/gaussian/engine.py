@@ -33,6 +33,7 @@ from estimator.slam.gaussian.estimate import estimate
 from estimator.slam.gaussian.free_clock import guess_clock, on_present_clock, to_remember
 from estimator.slam.gaussian.integrity import with_epoch
 from estimator.slam.gaussian.lifecycle import (
+    delete_corners,
     delete_redundant,
     existence_odds,
     judge_tentative,
@@ -312,6 +313,9 @@ def _live_on(state: GaussianState, config: GaussianConfig, phase: Phase) -> Gaus
     model, visibility = config.lifecycle, config.visibility
     if state.slots.tentative.size:
         state = judge_tentative(state, model, visibility, phase.confirm_support)
+    if state.shared and state.epoch % model.redundancy_stride == 0:
+        often = state.swept_epoch >= 0 and state.epoch - state.swept_epoch <= config.sweeps.often_epochs
+        state = delete_corners(state, model, visibility, often)
     if np.any(state.slots.confirmed & (state.slots.born >= 0)):
         if state.shared and state.epoch % model.redundancy_stride == 0:
             state = delete_redundant(state, model, visibility, config.reclassification.pair_radius_m)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
+from estimator.slam.association.sweep_matching import is_double_bounce
 from estimator.slam.gaussian.higher_order import explained_by_others
 from estimator.slam.gaussian.slots import close_slot
 from estimator.slam.gaussian.state import GaussianState
@@ -17,7 +18,14 @@ from estimator.slam.models.settings import Settings, not_negative, positive, pro
 from estimator.slam.models.state_vector import FIRST_ANCHOR, PER_ANCHOR, Layout
 from estimator.slam.models.visibility import Visibility
 
-__all__ = ["Lifecycle", "delete_redundant", "existence_odds", "judge_tentative", "prune_confirmed"]
+__all__ = [
+    "Lifecycle",
+    "delete_corners",
+    "delete_redundant",
+    "existence_odds",
+    "judge_tentative",
+    "prune_confirmed",
+]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -60,6 +68,13 @@ class Lifecycle(Settings):
         Log odds of existence, at most: what was detected for ages may vanish.
     delete_log_odds : float
         A wall whose log odds of existence fall below minus this is deleted.
+    corner_range_m, corner_azimuth_rad : float
+        A wall that few sweeps showed, first and last where a double bounce over two others should be seen,
+        within these limits, is none: it is the corner between them, metres and radians.
+    corner_sweeps : int
+        So many sweeps are few,
+    corner_epochs : int
+        and so many epochs must have passed since its birth, while sweeps come often.
     duplicate_m : float
         Two confirmed walls whose VRPs are closer than this are one, metres.
     """
@@ -78,6 +93,10 @@ class Lifecycle(Settings):
     revisit_m: float = positive(1.0)
     most_log_odds: float = positive(20.0)
     delete_log_odds: float = positive(10.0)
+    corner_range_m: float = positive(0.15)
+    corner_azimuth_rad: float = positive(0.2)
+    corner_sweeps: int = positive(20)
+    corner_epochs: int = positive(10)
     duplicate_m: float = positive(0.5)
 
 
@@ -128,6 +147,47 @@ def _agreeing(state: GaussianState, slot: int, model: Lifecycle) -> Mask:
     best = np.flatnonzero(have)[np.argmax(hypotheses.log_weight[have])]
     vrp = hypotheses.mean[:, state.layout.wall(slot)]
     return np.asarray(have & (np.linalg.norm(vrp - vrp[best], axis=1) < model.confirm_radius_m))
+
+
+def delete_corners(
+    state: GaussianState, model: Lifecycle, visibility: Visibility, sweeps_tell: bool
+) -> GaussianState:
+    """Delete walls that were corners: a flash came over two walls of which one was not known yet.
+
+    Walls known from the start are looked at too, but for the reference wall. Time is the cube of the walls.
+
+    Parameters
+    ----------
+    state : GaussianState
+        A state of shared walls.
+    model : Lifecycle
+        Limits.
+    visibility : Visibility
+        Prior visibility of slots that are closed.
+    sweeps_tell : bool
+        Whether sweeps came often since: only then is it a sign that no other one showed a wall.
+    """
+    slots, hypotheses = state.slots, state.hypotheses
+    best = hypotheses.best
+    found = slots.confirmed & hypotheses.present[best]
+    old = state.epoch - np.maximum(slots.born, 0) >= model.corner_epochs
+    asked = found & old & (slots.swept < model.corner_sweeps) & np.isfinite(slots.flash_m[:, 0, 0, 0])
+    asked[:1] = False
+    for slot in np.flatnonzero(asked & sweeps_tell).tolist():
+        found[slot] = False
+        if all(
+            is_double_bounce(
+                state.layout,
+                hypotheses.mean[best],
+                found & ~asked,
+                flash,
+                model.corner_range_m,
+                model.corner_azimuth_rad,
+            )
+            for flash in slots.flash_m[slot]
+        ):
+            state = close_slot(state, slot, visibility)
+    return state
 
 
 def delete_redundant(

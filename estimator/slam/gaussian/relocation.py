@@ -333,7 +333,7 @@ def _headings(layout: Layout, mean: Array, present: Mask, flash: Array, model: R
     width = 2.0 * np.pi / model.heading_bins
     bins = (np.mod(-turns, 2.0 * np.pi) / width).astype(np.int64) % model.heading_bins
     votes = np.bincount(bins.ravel(), minlength=model.heading_bins)
-    return (np.argsort(-votes, kind="stable")[: model.most_headings] + 0.5) * width
+    return np.asarray((np.argsort(-votes, kind="stable")[: model.most_headings] + 0.5) * width)
 
 
 def _best_places(cells: Array, score: Array, model: Relocation) -> NDArray[np.int64]:

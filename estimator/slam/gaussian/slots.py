@@ -42,6 +42,7 @@ def open_slot(state: GaussianState, model: Visibility) -> tuple[GaussianState, i
         detected_from_m=np.concatenate([slots.detected_from_m, np.full((1, new.anchors, 2, 2), np.nan)]),
         log_odds=np.append(slots.log_odds, 0.0),
         swept=np.append(slots.swept, 0),
+        flash_m=np.concatenate([slots.flash_m, np.full((1, 2, 2, 2), np.nan)]),
     )
     return state.but(hypotheses=grown, slots=more), old.slots
 
@@ -73,6 +74,7 @@ def close_slot(state: GaussianState, slot: int, model: Visibility) -> GaussianSt
     slots.detected_from_m[slot] = np.nan
     slots.log_odds[slot] = 0.0
     slots.swept[slot] = 0
+    slots.flash_m[slot] = np.nan
     return state.but(hypotheses=kept, slots=slots)
 
 

@@ -162,6 +162,7 @@ def state_of(
         np.full((count, anchors, 2, 2), np.nan),
         np.zeros(count),
         np.zeros(count, dtype=np.int64),
+        _flashes_at_start(layout, mean),
     )
     return GaussianState(
         anchor_names=anchor_names,
@@ -183,6 +184,14 @@ def state_of(
         losses_db=first_losses(anchors, config.noise.gain_offset_std_db, config.path_loss),
         levels=first_levels(anchors, config.noise_level.levels_weighed),
     )
+
+
+def _flashes_at_start(layout: Layout, mean: Array) -> Array:
+    """The agent at RP and its mirror images (L, 2, 2, 2) in the walls sensed there, gauge frame."""
+    flash = np.full((layout.slots, 2, 2, 2), np.nan)
+    if layout.shared:
+        flash[:, :, 0], flash[:, :, 1] = 0.0, mean[layout.walls].reshape(-1, 1, 2)
+    return flash
 
 
 def _bearing_std(wall: GaussianVrp) -> float:

@@ -43,6 +43,9 @@ class Slots(NamedTuple):
         Log odds that it exists, of detections and misses where it should have been detected.
     swept : ndarray of int64, shape (L,)
         Sweeps that showed it.
+    flash_m : ndarray, shape (L, 2, 2, 2)
+        Where the agent and its mirror image in the wall were when a sweep first showed it, and when one last
+        did, gauge frame, metres; NaN if none did.
     """
 
     wall_id: NDArray[np.int64]
@@ -53,6 +56,7 @@ class Slots(NamedTuple):
     detected_from_m: Array
     log_odds: Array
     swept: NDArray[np.int64]
+    flash_m: Array
 
     @property
     def tentative(self) -> NDArray[np.int64]:

@@ -19,6 +19,7 @@ from estimator.slam.association.sweep_matching import MatchModel, heading_of, ma
 from estimator.slam.gaussian.polar_correction import correct_along_circles
 from estimator.slam.gaussian.slots import open_slot
 from estimator.slam.gaussian.state import GaussianState
+from estimator.slam.models.features import mirror
 from estimator.slam.models.hypotheses import Hypotheses, log_sum_exp
 from estimator.slam.models.settings import Settings, not_negative, positive, probability
 from estimator.slam.models.state_vector import ECHO_BIAS, THETA, Layout
@@ -248,6 +249,10 @@ def take_sweep(
     shown = label[corrected.best]
     slots = state.slots.copy()
     slots.swept[shown[shown >= 0]] += 1
+    likeliest = corrected.mean[corrected.best]
+    for slot in shown[shown >= 0].tolist():
+        slots.flash_m[slot, 1, 0] = likeliest[:2]
+        slots.flash_m[slot, 1, 1] = mirror(*likeliest[:2], *likeliest[state.layout.wall(slot)])
     state = state.but(slots=slots)
     if heading_held:
         weight = np.exp(corrected.log_weight)
@@ -289,4 +294,7 @@ def _enter(
         new.present[r, slot] = True
     slots = state.slots.copy()
     slots.wall_id[slot], slots.born[slot] = state.next_wall_id, state.epoch
+    likeliest = new.mean[members[np.argmax(new.log_weight[members])]]
+    slots.flash_m[slot, :, 0] = likeliest[:2]
+    slots.flash_m[slot, :, 1] = mirror(*likeliest[:2], *likeliest[columns])
     return state.but(hypotheses=new, slots=slots, next_wall_id=state.next_wall_id + 1)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from estimator.slam.association import sweep_matching
+from estimator.slam.association.sweep_matching import double_bounce
 from estimator.slam.gaussian.sweep_update import SweepMatching
 from estimator.slam.models.features import mirror
 from estimator.slam.models.state_vector import ECHO_BIAS, Layout
@@ -111,3 +113,30 @@ def test_the_heading_that_fits_a_sweep_is_found():
             LAYOUT, mean[:-1], np.ones(3, dtype=bool), seen, np.tile(NOISE, (3, 1, 1)), 0.5
         )
         assert found == pytest.approx(turn, abs=1e-6)
+
+
+def test_a_double_bounce_there_and_back():
+    """Over two walls square to each other the corner throws back: its distance and direction."""
+    own, middle, half = double_bounce(1.0, 2.0, 8.0, 0.0, 0.0, 12.0)  # walls x = 4 and y = 6
+    assert own == pytest.approx(5.0)
+    assert middle == pytest.approx(np.arctan2(4.0, 3.0))
+    assert half == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_double_bounce_is_as_long_as_its_legs():
+    """Agent, one wall, the other, agent: the shortest such way, found by search, is twice the range."""
+    agent, vrps = np.array([0.5, -0.3]), np.array([[8.0, 0.0], [-3.0, 9.0]])
+
+    def on(wall, along):
+        square = vrps[wall] @ vrps[wall]
+        return 0.5 * vrps[wall] + along * np.array([-vrps[wall, 1], vrps[wall, 0]]) / np.sqrt(square)
+
+    def way(at):
+        first, second = on(0, at[0]), on(1, at[1])
+        return sum(np.linalg.norm(leg) for leg in (first - agent, second - first, agent - second))
+
+    shortest = minimize(way, [1.0, -1.0], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12})
+    own, middle, half = double_bounce(*agent, *vrps[0], *vrps[1])
+    assert 2.0 * own == pytest.approx(shortest.fun, abs=1e-6)
+    ends = [np.arctan2(*(on(wall, shortest.x[wall]) - agent)[::-1]) for wall in range(2)]
+    assert sorted(ends) == pytest.approx([middle - half, middle + half], abs=1e-3)

@@ -11,12 +11,14 @@ from estimator.measurements import AnchorPaths, GaussianVrp
 from estimator.slam import GaussianConfig, run_slam, start
 from estimator.slam.gaussian.lifecycle import (
     Lifecycle,
+    delete_corners,
     delete_redundant,
     existence_odds,
     judge_tentative,
     prune_confirmed,
 )
 from estimator.slam.gaussian.slots import close_slot, open_slot
+from estimator.slam.models.features import mirror
 from estimator.slam.models.path_buffer import Track
 from estimator.slam.models.visibility import Visibility
 from tests.estimator.slam.conftest import Room
@@ -279,3 +281,28 @@ def test_a_wall_that_is_taken_away_is_deleted(room):
     assert nearest[0] < 3.0
     assert nearest[1] > 3.0
     assert result.wall_valid[-1].sum() >= 3
+
+
+@pytest.mark.parametrize(
+    ("sweeps", "epochs", "often", "off", "deleted"),
+    [
+        (0, 20, True, 0.0, True),
+        (19, 20, True, 0.0, True),
+        (20, 20, True, 0.0, False),
+        (0, 5, True, 0.0, False),
+        (0, 20, False, 0.0, False),
+        (0, 20, True, 1.0, False),
+    ],
+)
+def test_a_corner_taken_for_a_wall_goes(sweeps, epochs, often, off, deleted):
+    """First and last seen where the corner of two known walls throws back; what many sweeps show stays."""
+    corner = mirror(*ROOM[2], *ROOM[0])  # RP's image over both walls
+    state, slot, turn = entered(np.array(corner), confirmed=True)
+    for entry, agent in enumerate((np.zeros(2), np.array([3.0, 1.0]))):
+        image = np.array(mirror(*mirror(*agent, *ROOM[2]), *ROOM[0]))
+        image += off * (image - agent) / np.linalg.norm(image - agent)
+        state.slots.flash_m[slot, entry] = turn @ agent, turn @ image
+    state.slots.swept[slot], state.slots.swept[:slot] = sweeps, 30
+    after = delete_corners(state.but(epoch=20 + epochs), MODEL, VISIBILITY, often)
+    assert (after.slots.wall_id[slot] < 0) == deleted
+    assert np.all(after.slots.wall_id[:slot] >= 0)
