@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from raytrace.dataset.croissant import card_head
+
 __all__ = ["CARD", "data_card"]
 
 CARD = "CARD.md"
@@ -55,6 +57,8 @@ def data_card(manifest: Mapping[str, Any], shards: Sequence[Mapping[str, Any]]) 
     snr = passive["los_snr_db_median"]
     return "\n".join(
         [
+            *card_head(manifest),
+            "",
             f"# {manifest['name']}",
             "",
             "Ray-traced radio channels between fixed anchors and a moving agent, and echoes that the agent",

@@ -17,6 +17,7 @@ from estimator.dataset import (
     write_text,
 )
 from raytrace.dataset.card import CARD, data_card
+from raytrace.dataset.croissant import CROISSANT, croissant
 from raytrace.dataset.manifest import statistics
 from raytrace.dataset.shards import truth_shard
 from raytrace.plan.floorplan import FloorPlan
@@ -61,6 +62,7 @@ def finish(writer: DatasetWriter, plan: FloorPlan, head: Mapping[str, Any]) -> D
         counts["judged_by_ray_tracer"] = None if verdict is None else verdict.as_dict()
     writer.add(truth)
     write_text(data_card({**head, "statistics": counts}, writer.shards), writer.path / CARD)
+    write_text(croissant(head, writer.shards), writer.path / CROISSANT)
     remove_temporaries(writer.path)
     writer.finish(statistics=counts)
     return open_dataset(writer.path)
