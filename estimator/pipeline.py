@@ -12,7 +12,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from estimator.evaluation.comparison import EvaluationConfig
+    from estimator.measurements import GaussianVrp, MeasurementSet
 
 __all__ = [
     "evaluate_file",
@@ -81,6 +82,7 @@ def slam_file(
     progress: Progress | None = None,
     command: str | None = None,
     smooth: bool = False,
+    known_walls: Callable[[MeasurementSet], Sequence[GaussianVrp]] | None = None,
 ) -> None:
     """Run SLAM on a measurement file; write a result file and its sidecar.
 
@@ -98,6 +100,8 @@ def slam_file(
         The command line, for the sidecar.
     smooth : bool
         Write the whole run smoothed (:func:`estimator.slam.smoothing.refine.refine`), with its joint map.
+    known_walls : callable, optional
+        Walls known from a floor plan, of the measurements.
 
     Raises
     ------
@@ -111,12 +115,13 @@ def slam_file(
     require_absent(out)
     loaded = load_measurements(measurements)
     begin = time.perf_counter()
-    result = run_slam(loaded, method=method, engine=engine, seed=seed, progress=progress)
+    walls = None if known_walls is None else known_walls(loaded)
+    result = run_slam(loaded, method=method, engine=engine, seed=seed, progress=progress, walls=walls)
     seconds = time.perf_counter() - begin
     if smooth:
         from estimator.slam.smoothing.refine import refine
 
-        result = refine(loaded, result)
+        result = refine(loaded if walls is None else replace(loaded, walls=tuple(walls)), result)
     source = None if loaded.dataset is None else _relative(measurements.parent / loaded.dataset, out)
     save_result(replace(result, dataset=source), out)
     record = {

@@ -19,6 +19,7 @@ LATE = {
     "raytrace_rows.py",
     "twin.py",
     "twin_plan.py",
+    "known_plan.py",
 }  # of the service, import raytrace
 
 BLOCKED = """

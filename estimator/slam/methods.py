@@ -18,7 +18,8 @@ Wireless Commun. 18(12), 2019, the latter without the anchors' positions (Fig. 1
 
 What is known besides is used, or a note says that it is not: ``hybrid`` takes the places of known anchors
 (``gaussian`` engine), and so walls sensed at the start and known anchors together; ``mva`` and ``va``, as
-published, take no walls.
+published, take no walls that are sensed. Walls known from a floor plan are taken by every method whose
+features are walls; the others refuse them.
 
 ``passive`` knows every anchor's distance from the start (the shortest path) and nothing of
 its bearing. Delays alone leave the whole map free to turn about RP and to be mirrored, so
@@ -38,9 +39,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
-from estimator.errors import ConfigurationError
+from estimator.errors import ConfigurationError, InputError
 
-__all__ = ["METHODS", "PAIRS", "Method", "method_for", "note_unused"]
+__all__ = ["METHODS", "PAIRS", "Method", "method_for", "note_unused", "walls_at_start"]
 
 _LOG = logging.getLogger("hapslam")
 
@@ -55,6 +56,10 @@ class _Known(Protocol):
     @property
     def anchors_m(self) -> Any:
         """Places of the anchors, None if they are unknown."""
+
+    @property
+    def walls_known(self) -> bool:
+        """Whether the walls are known, and not sensed."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +131,23 @@ def method_for(method: str, engine: str) -> Method:
     return METHODS[method]
 
 
+def walls_at_start(method: Method, known: _Known) -> Sequence[Any]:
+    """The walls that a method starts with: those sensed, if it uses these, or those known from a floor plan.
+
+    Raises
+    ------
+    InputError
+        If walls are known from a floor plan and the method's features are virtual anchors.
+    """
+    if known.walls_known and not method.shared:
+        able = ", ".join(name for name, other in METHODS.items() if other.shared)
+        raise InputError(
+            f"method {method.name}: expected no walls of a floor plan, for its features are virtual anchors, "
+            f"got {len(known.walls)}; {able} take them"
+        )
+    return known.walls if method.walls or known.walls_known else ()
+
+
 def note_unused(method: Method, known: _Known, *, anchors_used: bool) -> None:
     """Note aloud what is known and not used by a method.
 
@@ -138,7 +160,7 @@ def note_unused(method: Method, known: _Known, *, anchors_used: bool) -> None:
     anchors_used : bool
         Whether the engine uses the places of the anchors.
     """
-    if known.walls and not method.walls:
+    if known.walls and not method.walls and not known.walls_known:
         _LOG.info(
             "method %s takes no walls: %d sensed at the start are not used; hybrid takes both",
             method.name,

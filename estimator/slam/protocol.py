@@ -152,18 +152,25 @@ class Prior:
         Carrier frequency, hertz.
     anchors_m : ndarray, shape (K, 2), optional
         Anchor positions, estimator's frame, where the method knows them.
+    walls_known : bool
+        Whether the walls are known, from a floor plan, and not sensed.
     """
 
     anchor_names: tuple[str, ...]
     walls: tuple[GaussianVrp, ...]
     carrier_hz: float
     anchors_m: NDArray[np.float64] | None = None
+    walls_known: bool = False
 
     @classmethod
-    def of(cls, measurements: MeasurementSet) -> Prior:
-        """The prior that a measurement set brings."""
+    def of(cls, measurements: MeasurementSet, walls: Sequence[GaussianVrp] | None = None) -> Prior:
+        """The prior that a measurement set brings, with ``walls`` of a floor plan instead of sensed ones."""
         return cls(
-            measurements.anchors, measurements.walls, measurements.carrier_hz, measurements.known_anchors_m
+            measurements.anchors,
+            measurements.walls if walls is None else tuple(walls),
+            measurements.carrier_hz,
+            measurements.known_anchors_m,
+            walls is not None,
         )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from estimator.errors import ConfigurationError
-from estimator.measurements import MeasurementSet
+from estimator.measurements import GaussianVrp, MeasurementSet
 from estimator.result import SlamResult
 from estimator.slam import methods
 from estimator.slam.gaussian.config import GaussianConfig
@@ -92,6 +92,7 @@ def run_slam(
     seed: int = 0,
     config: Config | None = None,
     progress: Callable[[int, int], None] | None = None,
+    walls: Sequence[GaussianVrp] | None = None,
 ) -> SlamResult:
     """Run SLAM over all epochs.
 
@@ -111,6 +112,8 @@ def run_slam(
         Models and limits; by default those that fit the measurements.
     progress : callable, optional
         Called with (epochs done, epochs in all).
+    walls : sequence of GaussianVrp, optional
+        Walls known from a floor plan (:func:`estimator.known_walls.known_walls`) instead of those sensed.
 
     Returns
     -------
@@ -122,11 +125,11 @@ def run_slam(
         If the method or the engine is unknown, or there is no such pair.
     InputError
         If the measurements lack what the method needs: an epoch, an anchor, a wall, or
-        for ``va`` and ``mva`` the anchors' positions.
+        for ``va`` and ``mva`` the anchors' positions; or have known walls where the method takes none.
     """
     config = config_for(measurements, engine=engine) if config is None else config
     chosen = engine_for(method, engine, config)
-    state = chosen.start(Prior.of(measurements), epoch_rng(seed, -1))
+    state = chosen.start(Prior.of(measurements, walls), epoch_rng(seed, -1))
     estimates: list[Estimate] = []
     for done, epoch in enumerate(measurements.epochs):
         state = chosen.step(state, epoch, epoch_rng(seed, epoch.index))

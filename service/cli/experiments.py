@@ -37,7 +37,7 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         options: Annotated[
             list[str] | None,
             typer.Option(
-                "--with", metavar="OPTION", help="Measured in addition, or unknown: aoa, sweeps, clock."
+                "--with", metavar="OPTION", help="Measured in addition, or unknown: aoa, sweeps, clock, tdoa."
             ),
         ] = None,
         know_anchors: Annotated[

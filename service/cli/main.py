@@ -36,6 +36,7 @@ from service.cli.twin import register as register_twins
 
 if TYPE_CHECKING:
     from estimator.experiments.room import Room
+    from estimator.measurements import GaussianVrp, MeasurementSet
 
 __all__ = ["app", "main"]
 
@@ -149,7 +150,12 @@ def extract(
         extract_file(dataset, out, advance)
 
 
-@app.command(epilog=_examples("slam room-measurements.nc --out room-result.nc"))
+@app.command(
+    epilog=_examples(
+        "slam room-measurements.nc --out room-result.nc",
+        "slam room-measurements.nc --floor-plan l-room --out room-result.nc",
+    )
+)
 def slam(
     measurements: Annotated[Path, typer.Argument(help="Measurement file.")],
     out: Annotated[
@@ -162,13 +168,37 @@ def slam(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Write the whole run smoothed, each epoch given all of it.")
     ] = False,
+    floor_plan: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PLAN", help="Floor plan whose walls are known: TOML, a shipped scene, or a drawing."
+        ),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y", help="Where the agent starts in that plan, metres; by default as told."),
+    ] = None,
+    heading: Annotated[
+        float | None, typer.Option(metavar="DEG", help="Direction of the agent's x axis there.")
+    ] = None,
+    plan_std: Annotated[
+        float | None, typer.Option(help="Standard deviation of the plan's walls, metres; 0.05 by default.")
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Estimate agent, anchors and walls, epoch by epoch."""
     from estimator.pipeline import slam_file
+    from service.cli.known_plan import walls_of_plan
 
+    if floor_plan is None and (start, heading, plan_std) != (None, None, None):
+        raise ConfigurationError("--start, --heading, --plan-std: expected with --floor-plan alone")
+
+    def walls(loaded: MeasurementSet) -> Sequence[GaussianVrp]:
+        return walls_of_plan(str(floor_plan), loaded, start, heading, plan_std)
+
+    known = None if floor_plan is None else walls
     with Reporter(quiet).stage("slam") as advance:
-        slam_file(measurements, out, method, engine, seed, advance, _command(), smooth)
+        slam_file(measurements, out, method, engine, seed, advance, _command(), smooth, known)
 
 
 @app.command(epilog=_examples("evaluate room-result.nc", "evaluate room-result.nc --truth room --json"))

@@ -46,7 +46,7 @@ from estimator.slam.gaussian.start import start
 from estimator.slam.gaussian.state import GaussianState, load_state, save_state
 from estimator.slam.gaussian.sweep_stage import follow_sweep
 from estimator.slam.gaussian.update import update_hypotheses
-from estimator.slam.methods import METHODS, Method, note_unused
+from estimator.slam.methods import METHODS, Method, note_unused, walls_at_start
 from estimator.slam.mixture_reduction import reduce_mixture
 from estimator.slam.models.clutter_guard import guard_clutter
 from estimator.slam.models.epoch_paths import EpochPaths, stack_paths
@@ -366,7 +366,7 @@ class GaussianEngine:
         known = required or (self.method.paths and prior.anchors_m is not None)
         note_unused(self.method, prior, anchors_used=known)
         return start(
-            prior.walls if self.method.walls else (),
+            walls_at_start(self.method, prior),
             prior.anchor_names,
             prior.carrier_hz,
             self.models,

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import InputError
 from estimator.measurements import Epoch
-from estimator.slam.methods import Method, note_unused
+from estimator.slam.methods import Method, note_unused, walls_at_start
 from estimator.slam.models.clutter_guard import guard_clutter
 from estimator.slam.models.path_buffer import PathBuffer
 from estimator.slam.particle.anchors import remember_paths, ring_anchors, start_anchors
@@ -97,7 +97,7 @@ class ParticleEngine:
             spread = config.motion.anchor_std_m**2 * np.eye(2)
             for k, place in enumerate(prior.anchors_m):
                 anchors[k] = gaussian_cloud(place, spread, config.inference.particles, rng)
-        walls = prior.walls if self.method.walls else ()
+        walls = walls_at_start(self.method, prior)
         clouds = [gaussian_cloud(w.mean_m, w.covariance_m2, config.inference.particles, rng) for w in walls]
         size = len(walls)
         return ParticleState(
