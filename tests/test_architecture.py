@@ -16,6 +16,7 @@ LATE = {
     "dataset.py",
     "scene.py",
     "buildings.py",
+    "leakage.py",
     "raytrace_rows.py",
     "twin.py",
     "twin_plan.py",

@@ -59,11 +59,14 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
             "reproduce fig13 --methods hybrid,hybrid+aoa --engine gaussian --out figures",
             "reproduce all --out figures",
             "reproduce measured --data measured --json",
+            "reproduce leakage --runs 20 --json",
             "reproduce buildings --runs 4 --sweep-every 10 --odometry --out buildings --json",
         )
     )
     def reproduce(
-        figure: Annotated[str, typer.Argument(help=f"{', '.join(FIGURES)}, all, measured, or buildings.")],
+        figure: Annotated[
+            str, typer.Argument(help=f"{', '.join(FIGURES)}, all, measured, buildings, or leakage.")
+        ],
         out: Annotated[
             Path | None, typer.Option(metavar="DIR", help="Folder for pictures, numbers and reports.")
         ] = None,
@@ -109,10 +112,16 @@ def register(app: typer.Typer, load_room: RoomLoader) -> None:
         """Recompute figures of the paper: picture, numbers, and a report beside its values and the limit.
 
         With `measured`, SLAM on measured sets of others beside plain methods; with `buildings`, random
-        buildings traced, mapped and scored: with all that is sensed, by echoes alone, by paths alone.
+        buildings traced, mapped and scored: with all that is sensed, by echoes alone, by paths alone;
+        with `leakage`, the share of walls that echoes find over distance and isolation.
         """
         if figure == "measured":
             _measured(data, methods, as_json)
+            return
+        if figure == "leakage":
+            if out is not None or methods or engine:
+                raise ConfigurationError("out, methods, engine: expected none for leakage")
+            _leakage(runs or 20, seed, jobs, as_json, quiet)
             return
         sensing = {"sweep_every": sweep_every, "odometry": odometry, "aoa": aoa}
         if figure != "buildings" and (
@@ -187,6 +196,17 @@ def _buildings(
         write_report(report, out)
     printed = json.dumps(dict(report.summary), indent=2, allow_nan=False) if as_json else as_text(report)
     sys.stdout.write(printed + "\n")
+
+
+def _leakage(draws: int, seed: int, jobs: int | None, as_json: bool, quiet: bool) -> None:
+    """Share of walls found over distance and isolation of the transmitter."""
+    from estimator.executors import available_cores, open_workers
+    from service.cli.leakage import leakage_table, leakage_text
+    from service.cli.progress import Reporter
+
+    with open_workers(jobs or available_cores()) as workers, Reporter(quiet).stage("leakage") as advance:
+        table = leakage_table(draws, seed, workers, advance)
+    sys.stdout.write(json.dumps(table, indent=2) + "\n" if as_json else leakage_text(table))
 
 
 def _measured(folder: Path | None, methods: str, as_json: bool) -> None:
