@@ -37,6 +37,10 @@ class ShadowSearch:
         Cells of the map of where heard paths passed.
     silent, heard_single, heard_double : float
         What a silent path that is not hidden costs, and a heard one that is, nats.
+    walked : float
+        An obstacle where the agent walked.
+    clearance_m : float
+        Half the width that it needs.
     perimeter_per_m : float
         What a metre of an obstacle's outline costs: the smallest box that explains as much.
     least_gain : float
@@ -51,6 +55,8 @@ class ShadowSearch:
     silent: float = 0.5
     heard_single: float = 1.0
     heard_double: float = 0.4
+    walked: float = 20.0
+    clearance_m: float = 0.15
     perimeter_per_m: float = 0.3
     least_gain: float = 3.0
     largest_m: float = 4.0
@@ -121,6 +127,12 @@ def find_obstacles(
     silent = _turned(legs_of(sights, sights.silent & expected, np.array(config.silent)), -axis_rad)
     if _weight(silent, np.ones(len(silent.path), dtype=bool)) < config.least_gain or not len(heard.path):
         return []
+    track = _turned(_walked(sights, config), -axis_rad)
+    heard = Legs(
+        np.concatenate([heard.ends_m, track.ends_m]),
+        np.concatenate([heard.path, track.path + heard.path.max() + 1]),
+        np.concatenate([heard.weight, track.weight]),
+    )
     low = heard.ends_m.reshape(-1, 2).min(axis=0) - config.cell_m
     shape = np.ceil((heard.ends_m.reshape(-1, 2).max(axis=0) + config.cell_m - low) / config.cell_m)
     size = (int(shape[0]), int(shape[1]))
@@ -149,6 +161,18 @@ def find_obstacles(
         gain = max(-_cost(boxes[i], heard, mine, 0.0), 0.0)
         found.append(Obstacle(corners, float(1.0 - 0.5 * np.exp(-gain)), len(hidden)))
     return sorted(found, key=lambda obstacle: -obstacle.hidden)
+
+
+def _walked(sights: Sightings, config: ShadowSearch) -> Legs:
+    """The agent's own way, which nothing stands in, and its width beside it."""
+    track = sights.unfolded.vertex_m[:, 0, 0, -1]
+    ends = np.stack([track[:-1], track[1:]], axis=1)
+    along = ends[:, 1] - ends[:, 0]
+    size = np.linalg.norm(along, axis=1)
+    ends, along = ends[size > 0.0], along[size > 0.0] / size[size > 0.0, None]
+    across = config.clearance_m * np.stack([-along[:, 1], along[:, 0]], axis=1)[:, None]
+    every = np.concatenate([ends - across, ends, ends + across])
+    return Legs(every, np.arange(len(every)), np.full(len(every), config.walked))
 
 
 def _unexplained(silent: Legs, boxes: list[Array]) -> Legs:

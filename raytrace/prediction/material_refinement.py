@@ -63,7 +63,7 @@ class ClusterFit:
     floors: tuple[float, ...] = (1.0, 0.4, 0.1)
     most: float = 8.0
     rounds: int = 4
-    tempering: float = 0.1
+    tempering: float = 0.02
     starts: tuple[str, ...] = ("concrete", "plasterboard")
 
     def __post_init__(self) -> None:

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 WALL_MATERIALS = ("concrete", "brick", "plasterboard", "wood", "glass", "metal")
 """Materials of which walls are built; others of the table may be asked for."""
 _CLEAN_DB = 0.1
+_LEAST_CLEAN = 3
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class SlabFit:
     log_evidence : float
         Of the losses, all candidates together: what parts of a wall are compared by.
     residual_db : float
-        Median absolute deviation of the losses from the fit.
+        Median absolute deviation of the losses from the fit, of the clean ones where there are some.
     samples, clean : int
         Losses that were used, and those of them whose noise is a tenth of a decibel or less.
     """
@@ -181,14 +182,16 @@ def fit_slab(
     chosen = float(thickness[best[first]])
     eta = permittivity(search.materials[first], carrier_hz)
     fitted = _losses(eta, np.array([chosen]), (cosine, electric, magnetic), carrier_hz)[0]
+    clean = noise_db[use] <= _CLEAN_DB
+    judged = clean if clean.sum() >= _LEAST_CLEAN else np.ones(len(use), dtype=bool)
     return SlabFit(
         search.materials[first],
         chosen,
         {name: float(p) for name, p in zip(search.materials, share, strict=True)},
         float(np.logaddexp.reduce(evidence) - np.log(len(evidence)) - np.log(scale).sum()),
-        float(np.median(np.abs(loss_db[use] - fitted))),
+        float(np.median(np.abs(loss_db[use] - fitted)[judged])),
         len(use),
-        int(np.sum(noise_db[use] <= _CLEAN_DB)),
+        int(clean.sum()),
     )
 
 

@@ -277,6 +277,22 @@ def _point(option: str, text: str, most: int) -> tuple[float, float, float]:
     return x, y, z
 
 
+@_scene.command("export", epilog=_examples("export twin.toml --out twin-scene"))
+def export_(
+    scene: Scene,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to make.", callback=made_parents)],
+) -> None:
+    """Write a floor plan as a Mitsuba scene with radio materials, as Sionna RT loads it."""
+    from estimator.dataset import require_absent
+    from raytrace.dataset.export_scene import export_scene
+    from raytrace.plan.files import load_floorplan
+
+    plan = load_floorplan(scene)
+    require_absent(out)
+    out.mkdir()
+    export_scene(plan, out)
+
+
 @_scene.command(epilog=_examples("schema > floorplan.schema.json"))
 def schema() -> None:
     """Print the JSON Schema of floor plan files."""

@@ -31,7 +31,9 @@ def assert_refused(run: SimpleNamespace, *words: str) -> None:
         assert word in line
 
 
-@pytest.mark.parametrize("command", ["check", "show", "random", "import", "schema", "profile", "sweep"])
+@pytest.mark.parametrize(
+    "command", ["check", "show", "random", "import", "export", "schema", "profile", "sweep"]
+)
 def test_help_has_examples(main: Runner, command: str) -> None:
     """Each command explains itself, with examples that call it."""
     run = main("scene", command, "--help")
@@ -233,3 +235,15 @@ def test_repairs_are_told(main: Runner, tmp_path: Path) -> None:
     run = main("scene", "check", path)
     assert run.status == 0, run.err
     assert f"walls 'twin' and '{name}' lie on one another: made one" in run.out
+
+
+def test_a_plan_becomes_a_scene(main: Runner, tmp_path: Path) -> None:
+    """Scene, meshes and devices; a folder that is there is left alone."""
+    run = main("scene", "export", "l-room-hard", "--out", tmp_path / "scene")
+    assert run.status == 0, run.err
+    assert len(list((tmp_path / "scene" / "meshes").iterdir())) == 8
+    assert "itu-radio-material" in (tmp_path / "scene" / "scene.xml").read_text()
+    assert set(json.loads((tmp_path / "scene" / "devices.json").read_text())["anchors"]) == {"pa1", "pa2"}
+    assert_refused(
+        main("scene", "export", "l-room", "--out", tmp_path / "scene"), "expected a name that is free"
+    )
