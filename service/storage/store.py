@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import threading
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
@@ -346,15 +347,19 @@ class Store:
 
     def truth(self, session_id: str, connection: Connection) -> str | None:
         """The truth that was given to a session for comparison."""
-        query = sa.select(truths.c.document).where(truths.c.session_id == session_id)
-        return connection.execute(query).scalar_one_or_none()
+        query = sa.select(truths).where(truths.c.session_id == session_id)
+        row = connection.execute(query).one_or_none()
+        if row is None or row.packed is None:
+            return None if row is None else str(row.document)
+        return zlib.decompress(row.packed).decode()
 
     def set_truth(self, session_id: str, key_id: str | None, document: str) -> None:
         """Keep a truth for comparison, replacing what was there; raises NotFoundError."""
+        packed = zlib.compress(document.encode(), 1)
         with self.writing() as connection:
             self.session(session_id, key_id, connection)
             connection.execute(sa.delete(truths).where(truths.c.session_id == session_id))
-            connection.execute(sa.insert(truths).values(session_id=session_id, document=document))
+            connection.execute(sa.insert(truths).values(session_id=session_id, document="", packed=packed))
 
 
 def _owned(key_id: str | None) -> sa.ColumnElement[bool]:

@@ -107,7 +107,8 @@ truths = sa.Table(
     "truths",
     metadata,
     _session_id(),
-    sa.Column("document", sa.Text, nullable=False),
+    sa.Column("document", sa.Text, nullable=False),  # empty where it is packed
+    sa.Column("packed", sa.LargeBinary),  # with zlib: a truth may be large, and a commit waits for the disk
 )
 
 shares = sa.Table(

@@ -67,7 +67,8 @@ def _requests(client: httpx2.Client) -> list[Request]:
     all_epochs = json.dumps({"epochs": shipped["epochs"]}).encode()
     crowded = json.dumps({"epochs": [_crowded_epoch(16, 19, 1)]}).encode()
     noise = _noise(8, 4000)
-    truth = json.dumps({"track_m": [[1.25, 2.5]] * 200_000}).encode()
+    places = np.random.default_rng(2).uniform(0.0, 90.0, (200_000, 2)).round(2)
+    truth = json.dumps({"track_m": places.tolist()}).encode()
     wrong = b'{"epochs":[' + b",".join([b'{"epoch":0}'] * 900_000) + b"]}"
     walls = [{"vrp_m": [9.0 + i, 1.0], "covariance_m2": [[0.01, 0.0], [0.0, 0.01]]} for i in range(64)]
 

@@ -74,3 +74,17 @@ def test_rows_of_before_are_packed_when_they_are_read(
         changed = connection.execute(sa.text("UPDATE estimates SET packed = NULL WHERE epoch < 5"))
         assert changed.rowcount == 5
     assert [client.get(f"{session_url}/{kind}").content for kind in kinds] == before
+
+
+def test_truths_of_before_are_read(client: TestClient, session_url: str) -> None:
+    """A truth is kept packed; one that was written as text reads the same."""
+    given = {"track_m": [[1.25, 2.5]] * 5_000}
+    assert client.put(f"{session_url}/truth", json=given).status_code == 204
+    told = client.get(f"{session_url}/truth").content
+    app: Any = client.app
+    with app.state.context.store.writing() as connection:
+        kept = connection.execute(sa.text("SELECT length(packed) FROM truths")).scalar_one()
+        assert kept < len(told) / 10
+        change = sa.text("UPDATE truths SET document = :text, packed = NULL")
+        connection.execute(change, {"text": told.decode()})
+    assert client.get(f"{session_url}/truth").content == told
