@@ -10,6 +10,7 @@ import pytest
 from scipy.io import savemat
 
 from estimator.errors import FileFormatError
+from estimator.experiments.measured.responses import response_runs
 from estimator.readers.csv_ranges import read_anchors, read_csv
 from estimator.readers.mat_ranges import read_mat, read_mat_track
 from estimator.readers.range_sets import read_range_set
@@ -142,6 +143,82 @@ ARCHIVES = {
     ),
 }
 
+HEAD = b"anchor,x,y\n"
+ANCHORS = {
+    "empty": (b"", "a header and rows, got 0 lines"),
+    "header alone": (HEAD, "a header and rows, got 1 lines"),
+    "comments": (b"# anchor,x,y\n# a,1,2\n", "got 0 lines"),
+    "binary": (BINARY, "text in UTF-8, got byte"),
+    "nul": (HEAD + b"a,1,\x00\n", "got a binary file"),
+    "no name": (b"x,y\n1,2\n", "anchor is missing"),
+    "no x": (b"anchor,y\na,2\n", "x is missing"),
+    "no y": (b"anchor,x\na,1\n", "y is missing"),
+    "nothing known": (b"id,east,north\na,1,2\n", "anchor, x, y is missing"),
+    "a word in x": (HEAD + b"a,west,2\n", "line 2, column x: expected a number, got 'west'"),
+    "a word in y": (HEAD + b"a,1,north\n", "line 2, column y: expected a number, got 'north'"),
+    "empty x": (HEAD + b"a,,2\n", "line 2, column x: expected a number, got ''"),
+    "nan": (HEAD + b"a,nan,2\n", "line 2, column x: expected a number, got 'nan'"),
+    "infinite": (HEAD + b"a,1,2\nb,1,inf\n", "line 3, column y: expected a number, got 'inf'"),
+    "twice": (HEAD + b"a,1,2\na,3,4\n", "names that differ"),
+    "short row": (HEAD + b"a,1\n", "line 2: expected 3 columns, got 2"),
+    "long row": (HEAD + b"a,1,2,3\n", "line 2: expected 3 columns, got 4"),
+    "same columns": (b"anchor,x,x,y\na,1,1,2\n", "columns with names that differ"),
+    "nameless column": (b"anchor,x,y,\na,1,2,3\n", "columns with names that differ"),
+    "blanks": (b"anchor x y\na 1 2\n", "anchor, x, y is missing"),
+    "open quote": (HEAD + b'"a,1,2\n', "could not read it"),
+    "long line": (HEAD + b"a,1," + b"2" * 70_000 + b"\n", "line 2: expected at most 65536 characters"),
+}
+GT = np.array([[0.0, 1.0, 2.0, 0.0], [1.0, 1.5, 2.0, 0.0]])
+GT_TRACKS = {
+    "nothing": {"other": 1.0},
+    "ranges alone": {"TD": GOOD_TD, "TL": GOOD_TL},
+    "another name": {"gt": GT},
+    "a word": {"GT": "track"},
+    "a number": {"GT": 1.0},
+    "a row vector": {"GT": np.ones(9)},
+    "three columns": {"GT": GT[:, :3]},
+    "five columns": {"GT": np.ones((2, 5))},
+    "turned": {"GT": np.ones((4, 2))},
+    "no rows": {"GT": np.ones((0, 4))},
+    "no columns": {"GT": np.ones((4, 0))},
+    "cube": {"GT": np.ones((2, 4, 2))},
+    "complex": {"GT": 1j * GT},
+    "cells": {"GT": np.array([[1, "a", 2, 3]], dtype=object)},
+    "a structure": {"GT": {"a": 1.0}},
+    "nan": {"GT": GT * np.nan},
+    "one nan": {"GT": np.array([[0.0, 1.0, 2.0, 0.0], [1.0, np.nan, 2.0, 0.0]])},
+    "infinite time": {"GT": np.array([[np.inf, 1.0, 2.0, 0.0]])},
+    "infinite place": {"GT": np.array([[0.0, 1.0, -np.inf, 0.0]])},
+    "words": {"GT": np.array(["north", "south"])},
+}
+CIRS = {
+    "cir": np.ones((2, 100, 2)),
+    "first_path_tap": np.full(2, 40.0),
+    "range_m": np.full(2, 5.0),
+    "link": np.ones(2),
+    "pairs": np.array([[1.0, 1.0, 1.0]]),
+    "anchors_m": np.ones((1, 2)),
+    "tags_m": np.ones((1, 2)),
+}
+RESPONSES = {
+    "no file": None,
+    **{f"no {name}": {name: None} for name in CIRS},
+    "real responses": {"cir": np.ones((2, 100))},
+    "three components": {"cir": np.ones((2, 100, 3))},
+    "nan": {"cir": np.full((2, 100, 2), np.nan)},
+    "fewer taps told": {"first_path_tap": np.ones(1)},
+    "more ranges": {"range_m": np.ones(3)},
+    "infinite range": {"range_m": np.array([1.0, np.inf])},
+    "words": {"link": np.array(["one", "two"])},
+    "objects": {"link": np.array([object(), None])},
+    "link 0": {"link": np.zeros(2)},
+    "link beyond": {"link": np.full(2, 2.0)},
+    "anchor beyond": {"pairs": np.array([[1.0, 2.0, 1.0]])},
+    "tag 0": {"pairs": np.array([[1.0, 1.0, 0.0]])},
+    "flat anchors": {"anchors_m": np.ones(2)},
+    "high tags": {"tags_m": np.ones((1, 3))},
+}
+
 
 @pytest.mark.parametrize("kind", CSV)
 def test_csv(tmp_path: Path, kind: str) -> None:
@@ -222,13 +299,31 @@ def test_damage_anywhere_is_told_or_harmless(tmp_path: Path, packed: bool) -> No
             continue
 
 
-def test_anchors_that_are_none(tmp_path: Path) -> None:
-    """A missing column, a word, the same name twice."""
-    for text, words in (
-        ("anchor,x\na,1\n", "y is missing"),
-        ("anchor,x,y\na,1,north\n", "line 2, column y: expected a number"),
-        ("anchor,x,y\na,1,2\na,3,4\n", "names that differ"),
+@pytest.mark.parametrize("kind", ANCHORS)
+def test_anchors(tmp_path: Path, kind: str) -> None:
+    """Places of anchors as text."""
+    data, words = ANCHORS[kind]
+    (tmp_path / "bad.csv").write_bytes(data)
+    with pytest.raises(FileFormatError, match=words):
+        read_anchors(tmp_path / "bad.csv")
+
+
+@pytest.mark.parametrize("kind", GT_TRACKS)
+def test_matlab_tracks(tmp_path: Path, kind: str) -> None:
+    """True tracks in MATLAB files: rows of four numbers were expected, or a row has none."""
+    savemat(tmp_path / "bad.mat", GT_TRACKS[kind])
+    with pytest.raises(
+        FileFormatError, match=r"GT as rows of 4 (real )?numbers|numbers in GT, got others in row"
     ):
-        (tmp_path / "a.csv").write_text(text)
-        with pytest.raises(FileFormatError, match=words):
-            read_anchors(tmp_path / "a.csv")
+        read_mat_track(tmp_path / "bad.mat")
+
+
+@pytest.mark.parametrize("kind", RESPONSES)
+def test_responses(tmp_path: Path, kind: str) -> None:
+    """Impulse responses in NumPy archives."""
+    changed = RESPONSES[kind]
+    if changed is not None:
+        kept = {name: array for name, array in (CIRS | changed).items() if array is not None}
+        np.savez(tmp_path / "cir.npz", **kept)
+    with pytest.raises(FileFormatError, match=r"cir.npz: expected"):
+        list(response_runs(tmp_path))
