@@ -75,11 +75,11 @@ def _compared(run: MeasuredRun, method: str) -> dict[str, Any]:
     measurements, plainly = run.measurements, run.plain or run.measurements
     start, plain_start = (np.array(one.settings["start_m"]) for one in (measurements, plainly))
     time = np.array([epoch.time_s for epoch in measurements.epochs])
-    plain = least_squares_track(plainly) + plain_start
+    turn = rotation_matrix(run.heading_rad)
+    plain = least_squares_track(plainly) @ turn.T + plain_start
     truth = run.truth.at(time + (_clock_offset(run, time, plain) if run.clocks_differ else 0.0))
     result = run_slam(measurements, method)
     known = np.isfinite(truth).all(axis=1)
-    turn = rotation_matrix(run.heading_rad)
     error = result.agent_mean[:, :2] @ turn.T + start - truth
     covariance = turn @ result.agent_covariance[:, :2, :2] @ turn.T
     distance = np.linalg.norm(error[known], axis=1)
@@ -93,7 +93,7 @@ def _compared(run: MeasuredRun, method: str) -> dict[str, Any]:
         "lost": bool(rmse > max(_LOST_M, _LOST_SHARE * extent)),
         "flagged": bool(result.flagged[-1]),
         "false_features": int(result.wall_valid[-1].sum()),
-        "ekf_mae_m": _mean_error(kalman_track(plainly) + plain_start, truth),
+        "ekf_mae_m": _mean_error(kalman_track(plainly) @ turn.T + plain_start, truth),
         "least_squares_mae_m": _mean_error(plain, truth),
     }
 

@@ -108,9 +108,7 @@ def _labyrinth(folder: Path) -> Iterator[MeasuredRun]:
     if moved is None:
         return
     measured, heading = moved
-    yield MeasuredRun(
-        "labyrinth-odometry", measured, alone.truth, plain=alone.measurements, heading_rad=heading
-    )
+    yield MeasuredRun("labyrinth-odometry", measured, alone.truth, heading_rad=heading)
 
 
 def _plaza(folder: Path) -> Iterator[MeasuredRun]:

@@ -78,6 +78,8 @@ def test_wheels_help(tmp_path):
     assert list(found) == ["labyrinth", "labyrinth-odometry"]
     alone, moved = found.values()
     assert moved["mae_m"] < alone["mae_m"]
+    assert moved["mae_m"] < moved["ekf_mae_m"] < alone["ekf_mae_m"]  # the plain filter has wheels too
+    assert moved["least_squares_mae_m"] == pytest.approx(alone["least_squares_mae_m"])
     assert 0.1 < moved["nees_per_dim"] < 3.0
 
 
