@@ -154,6 +154,8 @@ class Prior:
         Anchor positions, estimator's frame, where the method knows them.
     walls_known : bool
         Whether the walls are known, from a floor plan, and not sensed.
+    sweeps : bool
+        Whether sweeps come on the way: then a wall at the start is not needed.
     """
 
     anchor_names: tuple[str, ...]
@@ -161,6 +163,7 @@ class Prior:
     carrier_hz: float
     anchors_m: NDArray[np.float64] | None = None
     walls_known: bool = False
+    sweeps: bool = False
 
     @classmethod
     def of(cls, measurements: MeasurementSet, walls: Sequence[GaussianVrp] | None = None) -> Prior:
@@ -171,6 +174,7 @@ class Prior:
             measurements.carrier_hz,
             measurements.known_anchors_m,
             walls is not None,
+            any(epoch.sweep for epoch in measurements.epochs),
         )
 
 

@@ -11,7 +11,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -171,7 +171,8 @@ def fold(
     try:
         if state is None:
             walls = [wall for sweep in job.sweeps for wall in read_sweep(sweep)]
-            state = engine.start(Prior.of(measurement_set(config, walls)), epoch_rng(config["seed"], -1))
+            prior = replace(Prior.of(measurement_set(config, walls)), sweeps=_begins_with_a_sweep(job.epochs))
+            state = engine.start(prior, epoch_rng(config["seed"], -1))
         for text in job.epochs:
             if rows and job.prompt_s is not None and time.thread_time() - begin > job.prompt_s:
                 raise NotPromptError
@@ -188,6 +189,10 @@ def fold(
     if cache is not None:
         cache.put(job.session_id, sha256, state)
     return Folded(snapshot, sha256, tuple(rows), time.thread_time() - begin)
+
+
+def _begins_with_a_sweep(epochs: Sequence[str]) -> bool:
+    return bool(epochs) and bool(read_epoch(epochs[0]).sweep)
 
 
 def _loaded(engine: Engine, snapshot: bytes) -> Any:

@@ -372,6 +372,7 @@ class GaussianEngine:
             self.models,
             prior.anchors_m if known else None,
             self.method.shared,
+            prior.sweeps and self.method.walls,
         )
 
     def step(self, state: GaussianState, epoch: Epoch, rng: np.random.Generator) -> GaussianState:

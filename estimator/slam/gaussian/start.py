@@ -40,6 +40,7 @@ def start(
     config: GaussianConfig,
     anchors_m: Array | None = None,
     shared: bool = True,
+    sweeps: bool = False,
 ) -> GaussianState:
     """The state before the first epoch.
 
@@ -47,7 +48,7 @@ def start(
     ----------
     walls : sequence of GaussianVrp
         Walls sensed at the start, estimator's frame; at least one if the anchors are not
-        known, for it fixes the direction of the map.
+        known and no sweeps come, for nothing else fixes the direction of the map.
     anchor_names : sequence of str
         The anchors that epochs will report on, in order.
     carrier_hz : float
@@ -59,6 +60,8 @@ def start(
     shared : bool
         Whether features are walls common to all anchors, or else virtual anchors of each, of which
         none is known at the start.
+    sweeps : bool
+        Whether sweeps will show walls on the way.
 
     Returns
     -------
@@ -67,12 +70,12 @@ def start(
     Raises
     ------
     InputError
-        If no anchor is given, or neither a wall nor the anchors' places; if walls are given where
+        If no anchor is given, or neither a wall nor the anchors' places nor sweeps; if walls are given where
         features are virtual anchors.
     """
-    if not anchor_names or not (walls or anchors_m is not None):
+    if not anchor_names or not (walls or anchors_m is not None or sweeps):
         raise InputError(
-            "SLAM: expected at least one anchor, and a wall sensed at the start or known anchors, "
+            "SLAM: expected at least one anchor, and a wall sensed at the start, sweeps, or known anchors, "
             f"got {len(anchor_names)} anchors and {len(walls)} walls"
         )
     if walls and not shared:
@@ -80,7 +83,8 @@ def start(
     walls = sorted(walls, key=_bearing_std)
     layout = Layout(len(anchor_names), len(walls), shared)
     bearing = 0.0
-    if anchors_m is None:
+    gauge = anchors_m is None and bool(walls)  # the reference wall's; otherwise the estimator's frame
+    if gauge:
         reference = walls[0].mean_m
         bearing = float(np.arctan2(reference[1], reference[0]))
     to_gauge = rotation_matrix(-bearing)
@@ -88,9 +92,9 @@ def start(
 
     mean = np.zeros(layout.size)
     common = config.sweeps.echo_bias_std_m
-    covariance = _wall_prior(walls, vrps, to_gauge, layout, common, turning=anchors_m is None)
+    covariance = _wall_prior(walls, vrps, to_gauge, layout, common, turning=gauge)
     mean[HEADING] = -bearing
-    if anchors_m is None:
+    if gauge:
         vrps[0, 1] = 0.0
     mean[layout.walls] = vrps.ravel()
     covariance[0:2, 0:2] = config.motion.start_std_m**2 * np.eye(2)

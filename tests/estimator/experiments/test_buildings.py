@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from estimator.errors import InputError
 from estimator.experiments.building_limits import building_scenario, position_limit, sensing_of
 from estimator.experiments.building_runs import SENSING, BuildingRun, BuildingScore, Sketch, map_building
 from estimator.experiments.buildings import report_of, summary_of
@@ -166,3 +167,17 @@ def test_an_agent_put_elsewhere_is_flagged_and_found_again() -> None:
     assert error[middle + 2 :].max() < 0.5
     assert not result.flagged[:middle].any()
     assert result.flagged[middle : middle + 5].any()
+
+
+def test_no_wall_at_the_start_is_no_refusal() -> None:
+    """The first sweep on the way begins the map; the track before it is what the motion model says."""
+    measured = load_measurements(HERE / "shops-measured.nc")
+    with xr.open_dataset(HERE / "shops-truth.nc") as truth:
+        track = truth["track_m"].values[:30, :2] - truth["track_m"].values[0, :2]
+    result = run_slam(replace(measured, walls=(), epochs=measured.epochs[:30]))
+    error = np.linalg.norm(result.agent_mean[:, :2] - track, axis=1)
+    assert error.mean() < 0.3
+    assert result.wall_valid[-1].sum() >= 3
+    silent = tuple(replace(epoch, sweep=()) for epoch in measured.epochs[:3])
+    with pytest.raises(InputError, match="sensed at the start, sweeps, or known anchors"):
+        run_slam(replace(measured, walls=(), epochs=silent))

@@ -75,7 +75,7 @@ def test_the_reference_wall_has_no_free_bearing():
 def test_a_start_needs_walls_and_anchors():
     """Without a wall or an anchor there is an error that says so."""
     with pytest.raises(
-        InputError, match="a wall sensed at the start or known anchors, got 1 anchors and 0 walls"
+        InputError, match="sensed at the start, sweeps, or known anchors, got 1 anchors and 0 walls"
     ):
         start([], ("a",), 28e9, GaussianConfig())
     with pytest.raises(InputError, match="got 0 anchors and 3 walls"):
@@ -118,3 +118,11 @@ def test_a_state_of_a_given_gaussian():
     assert state.bearing_rad == 0.4
     assert state.next_wall_id == 2
     assert state.buffer.epochs == 0
+
+
+def test_without_a_wall_the_first_sweep_begins_the_map():
+    """The frame is then the estimator's own: theta is certain, no wall is there yet."""
+    state = start([], ("a",), 28e9, GaussianConfig(), sweeps=True)
+    assert state.bearing_rad == 0.0
+    assert state.layout.slots == 0
+    assert np.all(state.hypotheses.covariance[0, THETA] == 0.0)
