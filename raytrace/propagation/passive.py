@@ -50,9 +50,10 @@ LEG_M = 12e-3
 _SAME_LENGTH_M = 1e-3
 # Directions in which paths around corners arrive are told apart in steps of this, radians.
 _SAME_BEARING_RAD = 0.01
-# Rays of the attempts, as shares of the plan's, and positions in a batch. What the second misses is
-# mostly a surface so small that no ray met it; fewer positions at a time pay for more rays.
-_ATTEMPTS = ((1 / 6, _BATCH), (0.5, 128), (2, 64), (8, 32), (32, 16), (256, 4))
+# Rays of the attempts, as shares of the plan's, and positions in a batch. A call costs the more positions
+# and rays the more, but mostly the same: the first takes many positions at once, and what few positions
+# miss then, a surface so small that no ray met it or a hash that collided, is soon shot with many rays.
+_ATTEMPTS = ((1 / 6, 2 * _BATCH), (1, 128), (8, 32), (32, 16), (256, 4))
 
 Array = NDArray[np.float64]
 
@@ -179,6 +180,7 @@ def _complete(
                 break
             retraced += where.size
         rays = max(1, round(share * samples))
+        width = _BATCH if attempt == 0 and positions <= _BATCH else width
         found = trace(np.roll(where, max(attempt - 1, 0)), rays, width=width)
         part = found if part is None else distinct_paths(PathList.concatenate([part, found]))
     assert part is not None
