@@ -80,7 +80,8 @@ def cells_of(mean_m: float, std_m: float, config: AnchorSearchConfig) -> tuple[C
         bias, left = mean_m + shift, step**2 / 12.0
         log_prior = -0.5 * (shift / std_m) ** 2 + np.log(step / (std_m * np.sqrt(2.0 * np.pi)))
     g, h = (index.ravel() for index in np.indices((bias.size, height2.size)))
-    return Cells(bias[g], height2[h], height2_std[h], log_prior[g] + height_prior[h]), left
+    width = config.height_widths * height2_std[h] if config.height_cells else height2_std[h]
+    return Cells(bias[g], height2[h], width, log_prior[g] + height_prior[h]), left
 
 
 def heights_of(config: AnchorSearchConfig) -> tuple[Array, Array, Array]:

@@ -66,6 +66,9 @@ class AnchorSearchConfig(Settings):
         The least and the largest of these, metres; the others are spaced geometrically.
     height_scale_m : float
         Mean of the exponential prior of the height, metres: antennas on ceilings and walls.
+    height_widths : float
+        A squared height that a search over few epochs found is known to so many standard deviations of its
+        cell: cells beside it explain the paths nearly as well, and the place moves with the height.
     survey_track : int
         Places of the whole track whose paths are kept for surveys (:mod:`estimator.slam.anchors.survey`):
         where there are more, every other one is dropped.
@@ -177,6 +180,7 @@ class AnchorSearchConfig(Settings):
     height_min_m: float = positive(0.5)
     height_max_m: float = positive(6.5)
     height_scale_m: float = positive(2.5)
+    height_widths: float = positive(5.0)
     survey_track: int = positive(120)
     survey_step_m: float = positive(0.4)
     survey_epochs: int = positive(40)

@@ -54,3 +54,12 @@ def test_all_searches_together_cost_what_one_may(share):
     assert limits.scored == 1 or limits.scored * 12 * share <= SEARCH.max_scored_circles
     assert limits.refined_in_all == 1 or limits.refined_in_all * 51 * share <= SEARCH.max_refined_circles
     assert limits.refined == SEARCH.max_refined
+
+
+def test_a_height_that_is_found_is_known_to_more_than_its_cell():
+    """Cells beside it explain the paths nearly as well; in the plane there is nothing to widen."""
+    wide = replace(SEARCH, height_cells=8, height_widths=3.0)
+    cells, _ = cells_of(0.0, 0.0, wide)
+    np.testing.assert_allclose(cells.height2_std_m2, 3.0 * heights_of(wide)[1])
+    flat = replace(SEARCH, height_cells=0, height_widths=3.0)
+    np.testing.assert_allclose(cells_of(0.0, 0.0, flat)[0].height2_std_m2, heights_of(flat)[1])
