@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import ConfigurationError
+from estimator.slam.models.settings import Settings, positive
 from estimator.twin.sightings import Sightings
 from estimator.twin.unfolding import crossing_points, line_frames
 
@@ -29,7 +29,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class EndSearch:
+class EndSearch(Settings):
     """Prices of contradictions and changes, in nats, and how lines are cut.
 
     Parameters
@@ -58,26 +58,19 @@ class EndSearch:
         Times that all lines are visited, at most.
     """
 
-    heard_single: float = 1.5
-    heard_double: float = 0.5
-    silent: float = 0.3
-    silent_run: float = 4.0
-    corner: float = 1.0
-    free_end: float = 5.0
-    flash: float = 1.5
-    walked: float = 20.0
-    clearance_m: float = 0.2
-    open_per_m: float = 0.03
-    cell_m: float = 0.25
-    margin_m: float = 8.0
-    rounds: int = 8
-
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            if not 0 < getattr(self, entry.name) < np.inf:
-                raise ConfigurationError(
-                    f"{entry.name}: expected a positive number, got {getattr(self, entry.name)}"
-                )
+    heard_single: float = positive(1.5)
+    heard_double: float = positive(0.5)
+    silent: float = positive(0.3)
+    silent_run: float = positive(4.0)
+    corner: float = positive(1.0)
+    free_end: float = positive(5.0)
+    flash: float = positive(1.5)
+    walked: float = positive(20.0)
+    clearance_m: float = positive(0.2)
+    open_per_m: float = positive(0.03)
+    cell_m: float = positive(0.25)
+    margin_m: float = positive(8.0)
+    rounds: int = positive(8)
 
 
 @dataclass(frozen=True, eq=False)

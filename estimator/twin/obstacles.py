@@ -9,14 +9,14 @@ as possible and none that was heard.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from estimator.errors import ConfigurationError
 from estimator.geometry import rotate
+from estimator.slam.models.settings import Settings, positive
 from estimator.twin.boxes import Legs, crosses_box
 from estimator.twin.sightings import Sightings
 
@@ -28,7 +28,7 @@ _STEPS_M = (0.4, 0.2, 0.1, 0.05, 0.02)
 
 
 @dataclass(frozen=True)
-class ShadowSearch:
+class ShadowSearch(Settings):
     """How obstacles are looked for.
 
     Parameters
@@ -51,23 +51,16 @@ class ShadowSearch:
         Obstacles at most.
     """
 
-    cell_m: float = 0.1
-    silent: float = 0.5
-    heard_single: float = 1.0
-    heard_double: float = 0.4
-    walked: float = 20.0
-    clearance_m: float = 0.15
-    perimeter_per_m: float = 0.3
-    least_gain: float = 3.0
-    largest_m: float = 4.0
-    most: int = 60
-
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            if not 0 < getattr(self, entry.name) < np.inf:
-                raise ConfigurationError(
-                    f"{entry.name}: expected a positive number, got {getattr(self, entry.name)}"
-                )
+    cell_m: float = positive(0.1)
+    silent: float = positive(0.5)
+    heard_single: float = positive(1.0)
+    heard_double: float = positive(0.4)
+    walked: float = positive(20.0)
+    clearance_m: float = positive(0.15)
+    perimeter_per_m: float = positive(0.3)
+    least_gain: float = positive(3.0)
+    largest_m: float = positive(4.0)
+    most: int = positive(60)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.errors import ConfigurationError
 from estimator.geometry import segments_cross
+from estimator.slam.models.settings import Settings, not_negative, positive
 from estimator.twin.ends import Entries, LabelledLines
 from estimator.twin.unfolding import line_frames
 
@@ -56,7 +56,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Closing:
+class Closing(Settings):
     """When two open ends are joined by a wall that nobody saw.
 
     Parameters
@@ -77,18 +77,13 @@ class Closing:
         Stretches shorter than this are dropped: they rest on single paths.
     """
 
-    longest_m: float = 30.0
-    parallel_rad: float = 0.1
-    least_support: float = 0.3
-    least_expected: int = 4
-    near_m: float = 0.15
-    doorway_m: float = 4.0
-    shortest_m: float = 0.3
-
-    def __post_init__(self) -> None:
-        for name in ("longest_m", "parallel_rad", "least_support", "near_m", "doorway_m", "shortest_m"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise ConfigurationError(f"{name}: expected a positive number, got {getattr(self, name)}")
+    longest_m: float = positive(30.0)
+    parallel_rad: float = positive(0.1)
+    least_support: float = positive(0.3)
+    least_expected: int = not_negative(4)
+    near_m: float = positive(0.15)
+    doorway_m: float = positive(4.0)
+    shortest_m: float = positive(0.3)
 
 
 def wall_stretches(
