@@ -18,7 +18,7 @@ from estimator.slam.models.kalman import projected, scalar_update
 from estimator.slam.models.state_vector import ECHO_BIAS, FIRST_ANCHOR, PER_ANCHOR, THETA, Layout
 from estimator.slam.models.sweeps import FLASH_ENTRIES, flash_of
 
-__all__ = ["MatchModel", "double_bounce", "heading_of", "is_double_bounce", "match_flashes"]
+__all__ = ["MatchModel", "double_bounce", "flash_cost", "heading_of", "is_double_bounce", "match_flashes"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -71,7 +71,7 @@ def heading_of(
 
 
 @compiled
-def _cost(
+def flash_cost(
     layout: Layout,
     mean: Array,
     covariance: Array,
@@ -318,7 +318,7 @@ def match_flashes(
                 cost[j, i] = np.inf
                 if not present[i] or used[i] or (j == forced[0] and i != forced[1]):
                     continue
-                square, own = _cost(
+                square, own = flash_cost(
                     layout, mean, covariance, i, seen[j, 0], seen[j, 1], noise[j], index, value, first, second
                 )
                 if square < model.gate_sigma**2:

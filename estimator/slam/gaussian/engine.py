@@ -314,8 +314,7 @@ def _live_on(state: GaussianState, config: GaussianConfig, phase: Phase) -> Gaus
     if state.slots.tentative.size:
         state = judge_tentative(state, model, visibility, phase.confirm_support)
     if state.shared and state.epoch % model.redundancy_stride == 0:
-        often = state.swept_epoch >= 0 and state.epoch - state.swept_epoch <= config.sweeps.often_epochs
-        state = delete_corners(state, model, visibility, often)
+        state = delete_corners(state, model, visibility, state.swept_within(config.sweeps.often_epochs))
     if np.any(state.slots.confirmed & (state.slots.born >= 0)):
         if state.shared and state.epoch % model.redundancy_stride == 0:
             state = delete_redundant(state, model, visibility, config.reclassification.pair_radius_m)

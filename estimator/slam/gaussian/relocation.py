@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from estimator.compiled import compiled
 from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
+from estimator.slam.association.sweep_matching import flash_cost
 from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.models.directions import wrapped
 from estimator.slam.models.epoch_paths import EpochPaths
 from estimator.slam.models.hypotheses import Hypotheses
-from estimator.slam.models.kalman import projected
 from estimator.slam.models.settings import Settings, not_negative, positive, probability, share
 from estimator.slam.models.state_vector import (
     AGENT,
@@ -33,7 +33,7 @@ from estimator.slam.models.state_vector import (
     THETA,
     Layout,
 )
-from estimator.slam.models.sweeps import FLASH_ENTRIES, flash_of
+from estimator.slam.models.sweeps import FLASH_ENTRIES
 from estimator.slam.models.visibility import Visibility, prior_visibility
 
 __all__ = ["Relocation", "Seen", "is_explained", "place_scores", "relocated"]
@@ -126,20 +126,20 @@ def is_explained(
             for i in range(layout.slots):
                 if not hypotheses.present[r, i]:
                     continue
-                x, y = flash_of(layout, hypotheses.mean[r], i, index, value)
-                a = (
-                    projected(hypotheses.covariance[r], index, value[0], FLASH_ENTRIES, first)
-                    + noise[j, 0, 0]
+                square, _ = flash_cost(
+                    layout,
+                    hypotheses.mean[r],
+                    hypotheses.covariance[r],
+                    i,
+                    seen[j, 0],
+                    seen[j, 1],
+                    noise[j],
+                    index,
+                    value,
+                    first,
+                    second,
                 )
-                c = (
-                    projected(hypotheses.covariance[r], index, value[1], FLASH_ENTRIES, second)
-                    + noise[j, 1, 1]
-                )
-                b = noise[j, 0, 1]
-                for e in range(FLASH_ENTRIES):
-                    b += value[1, e] * first[index[e]]
-                dx, dy = seen[j, 0] - x, seen[j, 1] - y
-                if c * dx * dx - 2.0 * b * dx * dy + a * dy * dy < gate_sigma**2 * (a * c - b * b):
+                if square < gate_sigma**2:
                     explained += 1
                     break
         if explained >= least_share * seen.shape[0]:
@@ -265,8 +265,10 @@ def relocated(
     flash = np.array([wall.mean_m for wall in sweep]) @ to_gauge.T
     noise = np.array([to_gauge @ wall.covariance_m2 @ to_gauge.T for wall in sweep])
     held = paths.heading_held
-    explained = is_explained(layout, hypotheses, flash, noise, model.explained_sigma, model.explained_share)
-    if trusted and (explained or not held):
+    if trusted and (
+        not held
+        or is_explained(layout, hypotheses, flash, noise, model.explained_sigma, model.explained_share)
+    ):
         return None
     best = hypotheses.best
     mean, present = hypotheses.mean[best], hypotheses.present[best] & state.slots.confirmed

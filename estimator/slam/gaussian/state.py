@@ -141,6 +141,10 @@ class GaussianState(NamedTuple):
         """Whether no wall is known yet."""
         return not self.slots.confirmed.any()
 
+    def swept_within(self, epochs: int) -> bool:
+        """Whether the latest sweep, or the start, is no more than so many epochs ago."""
+        return self.epoch - self.swept_epoch <= epochs
+
     def but(self, **changes: Any) -> GaussianState:
         """The same with some fields changed."""
         return self._replace(**changes)

@@ -43,8 +43,8 @@ def follow_sweep(
     -------
     GaussianState
     """
-    often = state.epoch - state.swept_epoch <= config.sweeps.often_epochs
-    state = forget_guesses(state, config) if often else state
+    if state.swept_within(config.sweeps.often_epochs):
+        state = forget_guesses(state, config)
     elsewhere = relocated(
         state,
         epoch.sweep,

@@ -236,7 +236,7 @@ def take_sweep(
     corrected, label = room.take(np.arange(count)), label[:count]
     evidence = log_sum_exp(corrected.log_weight)
     corrected.log_weight[...] -= evidence
-    often = state.epoch - state.swept_epoch <= model.often_epochs
+    often = state.swept_within(model.often_epochs)
     told = np.array([scale, 1.0]) * residual[corrected.best]
     kept = max(1.0 - told[1] / model.residual_memory, 0.0)
     state = state.but(
