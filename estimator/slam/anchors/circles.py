@@ -30,6 +30,8 @@ class Circles(NamedTuple):
         Centres, Q = 1 + L + P, metres.
     xx, xy, yy : ndarray, shape (E, Q)
         Their covariances, square metres.
+    by_agent : ndarray, shape (Q, 2, 2)
+        Their derivatives by the agent's position: turns and mirrors.
     reach_m : ndarray, shape (E, Q)
         From the expected length of a path, whatever its direction, that one may be: metres.
     walls : int
@@ -41,6 +43,7 @@ class Circles(NamedTuple):
     xx: Array
     xy: Array
     yy: Array
+    by_agent: Array
     reach_m: Array
     walls: int
 
@@ -48,7 +51,7 @@ class Circles(NamedTuple):
 @compiled
 def image_circles(
     position: Array,
-    variance: Array,
+    covariance: Array,
     widest: Array,
     vrp: Array,
     vrp_covariance: Array,
@@ -61,8 +64,8 @@ def image_circles(
     ----------
     position : ndarray, shape (E, 2)
         Agent, gauge frame, metres.
-    variance : ndarray, shape (E,)
-        Its variance per axis, square metres.
+    covariance : ndarray, shape (E, 2, 2)
+        Its covariance, square metres.
     widest : ndarray, shape (E,)
         Largest variance of the lengths of each epoch's paths, square metres.
     vrp, vrp_covariance : ndarray, shapes (L, 2), (L, 2, 2)
@@ -76,27 +79,36 @@ def image_circles(
     count = 1 + walls + len(pairs)
     x, y = np.empty((epochs, count)), np.empty((epochs, count))
     xx, xy, yy = np.empty((epochs, count)), np.empty((epochs, count)), np.empty((epochs, count))
+    by_agent, own = np.zeros((count, 2, 2)), np.zeros((count, 2, 2))
+    by_agent[0] = np.eye(2)
+    for w in range(walls):
+        square = vrp[w, 0] ** 2 + vrp[w, 1] ** 2
+        by_agent[1 + w] = np.eye(2) - 2.0 / square * np.outer(vrp[w], vrp[w])
+        own[1 + w] = vrp_covariance[w]
+    for p in range(len(pairs)):
+        near, far, q = pairs[p, 0], pairs[p, 1], 1 + walls + p
+        by_agent[q] = by_agent[1 + near] @ by_agent[1 + far]
+        own[q] = vrp_covariance[near] + vrp_covariance[far]
     for e in range(epochs):
         x[e, 0], y[e, 0] = position[e, 0], position[e, 1]
-        xx[e, 0], xy[e, 0], yy[e, 0] = variance[e], 0.0, variance[e]
         for w in range(walls):
             x[e, 1 + w], y[e, 1 + w] = mirror(position[e, 0], position[e, 1], vrp[w, 0], vrp[w, 1])
-            xx[e, 1 + w] = variance[e] + vrp_covariance[w, 0, 0]
-            xy[e, 1 + w] = vrp_covariance[w, 0, 1]
-            yy[e, 1 + w] = variance[e] + vrp_covariance[w, 1, 1]
         for p in range(len(pairs)):
             near, far, q = pairs[p, 0], pairs[p, 1], 1 + walls + p
             x[e, q], y[e, q] = mirror(x[e, 1 + far], y[e, 1 + far], vrp[near, 0], vrp[near, 1])
-            xx[e, q] = xx[e, 1 + near] + vrp_covariance[far, 0, 0]
-            xy[e, q] = xy[e, 1 + near] + vrp_covariance[far, 0, 1]
-            yy[e, q] = yy[e, 1 + near] + vrp_covariance[far, 1, 1]
+        for q in range(count):
+            (a, b), (c, d) = by_agent[q]
+            pxx, pxy, pyy = covariance[e, 0, 0], covariance[e, 0, 1], covariance[e, 1, 1]
+            xx[e, q] = a * a * pxx + 2.0 * a * b * pxy + b * b * pyy + own[q, 0, 0]
+            xy[e, q] = a * c * pxx + (a * d + b * c) * pxy + b * d * pyy + own[q, 0, 1]
+            yy[e, q] = c * c * pxx + 2.0 * c * d * pxy + d * d * pyy + own[q, 1, 1]
     reach = np.empty((epochs, count))
     for e in range(epochs):
         for q in range(count):
             across = np.sqrt(0.25 * (xx[e, q] - yy[e, q]) ** 2 + xy[e, q] ** 2)
             largest = 0.5 * (xx[e, q] + yy[e, q]) + across
             reach[e, q] = gate_sigma * np.sqrt(max(largest, 0.0) + widest[e]) * (1.0 + 1e-9) + 1e-9
-    return Circles(x, y, xx, xy, yy, reach, walls)
+    return Circles(x, y, xx, xy, yy, by_agent, reach, walls)
 
 
 def met_wall_pairs(position: Array, vrp: Array, margin: float, limit: int) -> Index:

@@ -96,13 +96,20 @@ class AnchorSearchConfig(Settings):
     survey_share_los, survey_share_wall, survey_share_pair : float
         Shares of the paths that are lines of sight, and come over one and over two known walls; the rest is
         clutter.
+    survey_halvings : int
+        How many paths nothing known explains is not known: these shares, or they halved up to so often, are
+        equally likely.
     survey_nats : float
         Log evidence by which a place must beat all others, and none at all.
     survey_apart_m : float
         Places farther apart than this are different, metres.
+    survey_beyond : float
+        A wall is taken to reflect beyond the stretch on which it was seen to, this many times as far as the
+        agent was from it: rooms are about as long as they are wide, and a path that would have come over a
+        wall farther on comes over a neighbour of it that is not known yet.
     survey_start_std_m : float
-        Standard deviation with which a surveyed place enters the joint Gaussian, metres: what its paths told
-        of the track is known there already.
+        Standard deviation with which a surveyed place enters the joint Gaussian beside what its paths and the
+        track make it, metres: what walls and wrong labels put all its paths off by.
     search_gate_sigma : float
         Standard deviations within which a path may explain a circle.
     search_visibility_los, search_visibility_wall, search_visibility_pair : float
@@ -198,9 +205,11 @@ class AnchorSearchConfig(Settings):
     survey_share_los: float = probability(0.3)
     survey_share_wall: float = probability(0.4)
     survey_share_pair: float = probability(0.15)
+    survey_halvings: int = not_negative(3)
     survey_nats: float = positive(20.0)
     survey_apart_m: float = positive(0.3)
-    survey_start_std_m: float = positive(0.3)
+    survey_beyond: float = not_negative(1.0)
+    survey_start_std_m: float = positive(0.2)
     search_gate_sigma: float = positive(4.0)
     search_visibility_los: float = probability(0.9)
     search_visibility_wall: float = probability(0.6)

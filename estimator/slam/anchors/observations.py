@@ -58,8 +58,8 @@ class Observations(NamedTuple):
     ----------
     position_m : ndarray, shape (E, 2)
         The agent, metres.
-    variance_m2 : ndarray, shape (E,)
-        Its variance per axis, square metres.
+    covariance_m2 : ndarray, shape (E, 2, 2)
+        Its covariance, square metres.
     paths : ndarray of int64, shape (E,)
         Number of paths of each epoch.
     length_m : ndarray, shape (E, M)
@@ -75,7 +75,7 @@ class Observations(NamedTuple):
     """
 
     position_m: Array
-    variance_m2: Array
+    covariance_m2: Array
     paths: Index
     length_m: Array
     length_variance_m2: Array
@@ -125,13 +125,13 @@ def observations_of(
     for lengths, std, loss in reversed(parts):
         ratio = direct_ratio(loss - gain_offset_db, config)
         epochs.append((lengths, np.maximum(std, noise.range_std_m) ** 2, ratio))
-    return gathered(np.array(positions[::-1]), np.array(variances[::-1]), epochs)
+    return gathered(np.array(positions[::-1]), np.array(variances[::-1])[:, None, None] * np.eye(2), epochs)
 
 
 def gathered(
-    position_m: Array, variance_m2: Array, epochs: Sequence[tuple[Array, Array, Array]]
+    position_m: Array, covariance_m2: Array, epochs: Sequence[tuple[Array, Array, Array]]
 ) -> Observations:
-    """Observations at some positions (E, 2), of lengths, their variances and direct ratios."""
+    """Observations at some positions (E, 2), known to (E, 2, 2), of lengths, variances, direct ratios."""
     count = np.array([len(lengths) for lengths, _, _ in epochs])
     shape = len(epochs), max(int(count.max()), 1)
     length, variance, ratio = np.full(shape, np.inf), np.ones(shape), np.ones(shape)
@@ -142,7 +142,7 @@ def gathered(
     longest = np.max(length, initial=1.0, where=np.isfinite(length))
     edges = longest / _BUCKETS * np.arange(_BUCKETS)
     first = np.array([np.searchsorted(lengths, edges) for lengths in length])
-    return Observations(position_m, variance_m2, count, length, variance, ratio, first, _BUCKETS / longest)
+    return Observations(position_m, covariance_m2, count, length, variance, ratio, first, _BUCKETS / longest)
 
 
 def direct_ratio(loss_db: Array, config: AnchorSearchConfig) -> Array:

@@ -114,7 +114,7 @@ def scene_of(
     pairs = met_wall_pairs(seen.position_m, vrp, config.wall_pair_margin_m, config.max_wall_pairs)
     variance = seen.length_variance_m2 + extra_variance_m2
     widest, gate = variance.max(axis=1), float(config.search_gate_sigma)
-    circles = image_circles(seen.position_m, seen.variance_m2, widest, vrp, spread, pairs, gate)
+    circles = image_circles(seen.position_m, seen.covariance_m2, widest, vrp, spread, pairs, gate)
     seen = seen._replace(length_variance_m2=variance)
     return Scene(circles, seen, vrp, model_of(circles, noise, config))
 

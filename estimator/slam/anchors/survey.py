@@ -22,6 +22,8 @@ from estimator.slam.anchors.circles import Circles
 from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.anchors.observations import Observations
 from estimator.slam.anchors.search import Scene
+from estimator.slam.models.extents import bounce_along_wall
+from estimator.slam.models.features import side_of_wall
 
 __all__ = ["Survey", "survey_anchor"]
 
@@ -40,6 +42,8 @@ class Survey:
         x, y, metres, and the squared height difference, square metres.
     covariance : ndarray, shape (S, 3, 3)
         Covariances from the paths, given the track.
+    lever : ndarray, shape (S, E, 3, 2)
+        How far the place moves with the agent's position at each epoch.
     log_evidence : ndarray, shape (S,)
         Over "all is clutter".
     present : int
@@ -48,6 +52,7 @@ class Survey:
 
     place: Array
     covariance: Array
+    lever: Array
     log_evidence: Array
     present: int
 
@@ -71,8 +76,11 @@ def _weigh(
     extra: float,
     information: Array,
     slope: Array,
+    pull: Array,
 ) -> float:
     """Log evidence of a place; information (3, 3) and slope (3,) of the paths' residuals, by responsibility.
+
+    How the slope changes with the agent's position at each epoch is ``pull`` (E, 3, 2).
 
     Variances are larger by ``extra`` square metres.
     """
@@ -80,6 +88,7 @@ def _weigh(
     total = 0.0
     information[:, :] = 0.0
     slope[:] = 0.0
+    pull[:, :, :] = 0.0
     expected, variance = np.empty(features), np.empty(features)
     own = np.empty(features)
     free = 1.0 - share.sum()
@@ -125,6 +134,11 @@ def _weigh(
                 information[1, 1] += weight * gy * gy
                 information[1, 2] += weight * gy * gw
                 information[2, 2] += weight * gw * gw
+                for axis in range(2):
+                    by = gx * circles.by_agent[q, 0, axis] + gy * circles.by_agent[q, 1, axis]
+                    pull[e, 0, axis] += weight * gx * by
+                    pull[e, 1, axis] += weight * gy * by
+                    pull[e, 2, axis] += weight * gw * by
     information[1, 0], information[2, 0], information[2, 1] = (
         information[0, 1],
         information[0, 2],
@@ -172,37 +186,53 @@ def _grid(
 
 
 @compiled
+def _may_bounce(
+    ax: float, ay: float, px: float, py: float, vx: float, vy: float, first: float, last: float
+) -> bool:
+    """Whether a wall may reflect from ``a`` to ``p``: both on one side, the bounce on its stretch."""
+    if not side_of_wall(ax, ay, vx, vy) * side_of_wall(px, py, vx, vy) > 0.0:
+        return False
+    return first <= bounce_along_wall(px, py, ax, ay, vx, vy) <= last
+
+
+@compiled
 def _refine(
     start: Array,
+    found: int,
     bias: float,
     circles: Circles,
     seen: Observations,
-    side_of: Array,
+    vrp: Array,
+    stretch: Array,
     side: NDArray[np.bool_],
     share: Array,
+    halvings: int,
     clutter: float,
     widths: Array,
     height_scale_m: float,
     area_m2: float,
-) -> tuple[Array, Array, Array]:
-    """Places (S, 3) annealed from ``start`` through ``widths``; their covariances and log evidence."""
+) -> tuple[Array, Array, Array, Array]:
+    """Places (S, 3) annealed from ``start`` through ``widths``; covariances, levers and log evidence.
+
+    Those from ``found`` on are known already: the last two widths are theirs.
+    """
     count = len(start)
     place, spread, total = start.copy(), np.empty((count, 3, 3)), np.empty(count)
     information, slope = np.empty((3, 3)), np.empty(3)
-    walls = side_of.shape[0]
+    lever = np.empty((count, side.shape[0], 3, 2))
+    walls = vrp.shape[0]
     for s in range(count):
-        for width in widths:
+        for width in widths[0 if s < found else -2 :]:
             for _ in range(3):
                 for e in range(side.shape[0]):
                     for i in range(walls):
-                        here = place[s, 0] * side_of[i, 0] + place[s, 1] * side_of[i, 1] - side_of[i, 2]
-                        there = (
-                            circles.x[e, 0] * side_of[i, 0] + circles.y[e, 0] * side_of[i, 1] - side_of[i, 2]
-                        )
-                        side[e, i] = here * there > 0.0
+                        side[e, i] = _may_bounce(
+                            place[s, 0], place[s, 1], circles.x[e, 0], circles.y[e, 0],
+                            vrp[i, 0], vrp[i, 1], stretch[i, 0], stretch[i, 1],
+                        )  # fmt: skip
                 total[s] = _weigh(
                     place[s, 0], place[s, 1], place[s, 2], bias, circles, seen, side, share, clutter,
-                    width * width, information, slope,
+                    width * width, information, slope, lever[s],
                 )  # fmt: skip
                 information[0, 0] += 1e-4
                 information[1, 1] += 1e-4
@@ -213,16 +243,21 @@ def _refine(
                 place[s] += scale * move
                 place[s, 2] = max(place[s, 2], 0.0)
         spread[s] = np.linalg.inv(information)
-        total[s] = _weigh(
-            place[s, 0], place[s, 1], place[s, 2], bias, circles, seen, side, share, clutter, 0.0,
-            information, slope,
-        )  # fmt: skip
+        total[s] = -np.inf
+        for halving in range(halvings, -1, -1):
+            at = _weigh(
+                place[s, 0], place[s, 1], place[s, 2], bias, circles, seen, side, share * 0.5**halving,
+                clutter, 0.0, information, slope, lever[s],
+            )  # fmt: skip
+            total[s] = np.logaddexp(total[s], at - np.log(1.0 + halvings))
+        for e in range(side.shape[0]):
+            lever[s, e] = spread[s] @ lever[s, e]
         height = max(np.sqrt(place[s, 2]), 0.1)
         prior = np.exp(-height / height_scale_m) / height_scale_m / (2.0 * height)  # of the squared height
         total[s] += (
             np.log(prior / area_m2) + 1.5 * np.log(2.0 * np.pi) + 0.5 * np.log(np.linalg.det(spread[s]))
         )
-    return place, spread, total
+    return place, spread, lever, total
 
 
 def _seeds(
@@ -258,7 +293,12 @@ def _seeds(
 
 
 def survey_anchor(
-    scene: Scene, bias_m: float, height2: Array, present: Array | None, config: AnchorSearchConfig
+    scene: Scene,
+    stretch_m: Array,
+    bias_m: float,
+    height2: Array,
+    present: Array | None,
+    config: AnchorSearchConfig,
 ) -> Survey:
     """Where an anchor stands, from all that was heard of it along the track.
 
@@ -266,6 +306,8 @@ def survey_anchor(
     ----------
     scene : Scene
         Circles and paths of the surveyed epochs; at least one path.
+    stretch_m : ndarray, shape (L, 2)
+        First and last place along each wall that may reflect: signed distances from the foot of RP, metres.
     bias_m : float
         The anchor's clock bias, metres.
     height2 : ndarray, shape (H,)
@@ -281,9 +323,10 @@ def survey_anchor(
     nearest = np.argsort(first, kind="stable")[int(config.survey_near_share * (heard.size - 1))]
     reach = max(float(first[nearest]), config.survey_spacing_m)
     rows = heard[np.unique(np.linspace(0, heard.size - 1, config.survey_grid_epochs).astype(np.int64))]
-    start, spacing = _seeds(scene, seen.position_m[heard[nearest]], reach, rows, bias_m, height2, config)
+    seeds, spacing = _seeds(scene, seen.position_m[heard[nearest]], reach, rows, bias_m, height2, config)
     if present is not None:
-        start = np.concatenate([start, present[None]])
+        seeds = np.concatenate([seeds, present[None]])
+    start = seeds if present is None else np.concatenate([seeds, present[None]])
     pairs = circles.x.shape[1] - 1 - circles.walls
     share = np.concatenate(
         [
@@ -292,20 +335,19 @@ def survey_anchor(
             np.full(pairs, config.survey_share_pair / max(pairs, 1)),
         ]
     )
-    size = np.hypot(scene.vrp_m[:, 0], scene.vrp_m[:, 1])[:, None]
-    side_of = (
-        np.column_stack([scene.vrp_m / size, 0.5 * size[:, 0]]) if len(scene.vrp_m) else np.empty((0, 3))
-    )
     side = np.ones((len(seen.paths), len(scene.vrp_m)), dtype=np.bool_)
     widths = np.array([max(0.5 * spacing, 0.2), 0.2, 0.05, 0.0])
-    place, spread, total = _refine(
+    place, spread, lever, total = _refine(
         start,
+        len(seeds),
         bias_m,
         circles,
         seen,
-        side_of,
+        scene.vrp_m,
+        stretch_m,
         side,
         share,
+        config.survey_halvings,
         float(model.clutter_density),
         widths,
         config.height_scale_m,
@@ -315,4 +357,6 @@ def survey_anchor(
     order = np.argsort(np.where(good, -total, np.inf), kind="stable")[: int(good.sum())]
     last = len(start) - 1
     reached = np.flatnonzero(order == last) if present is not None else np.empty(0, dtype=np.int64)
-    return Survey(place[order], spread[order], total[order], int(reached[0]) if reached.size else -1)
+    return Survey(
+        place[order], spread[order], lever[order], total[order], int(reached[0]) if reached.size else -1
+    )

@@ -285,9 +285,9 @@ def match_flashes(
         A flash, -1 for none, and the wall it must match, -1 for none.
     slot : ndarray of int64, shape (J,)
         Takes the wall of each flash, -1 for a new one, -2 for a double bounce over known ones.
-    residual : ndarray, shape (2,)
-        Takes the squared residuals in range of the matched flashes over their variances, and what they
-        should be.
+    residual : ndarray, shape (2, 2)
+        Takes the squared residuals of the matched flashes over their variances, and what they should be:
+        in range, then in direction.
 
     Returns
     -------
@@ -341,17 +341,20 @@ def match_flashes(
             layout, mean, covariance, wall, seen[flash, 0], seen[flash, 1], noise[flash], heading_variance
         )
     residual[:] = 0.0
+    along = np.empty(FLASH_ENTRIES)
     for j in range(flashes):
         if slot[j] >= 0:
             fx, fy = flash_of(layout, mean, slot[j], index, value)
             length = max(np.hypot(fx, fy), 1e-3)
             nx, ny = fx / length, fy / length
-            for e in range(FLASH_ENTRIES):
-                value[0, e] = nx * value[0, e] + ny * value[1, e]
-            claimed = nx * nx * noise[j, 0, 0] + 2.0 * nx * ny * noise[j, 0, 1] + ny * ny * noise[j, 1, 1]
-            fitted = projected(covariance, index, value[0], FLASH_ENTRIES, first)
-            residual[0] += (nx * (seen[j, 0] - fx) + ny * (seen[j, 1] - fy)) ** 2 / claimed
-            residual[1] += max(1.0 - fitted / claimed, 0.0)
+            for kind in range(2):
+                for e in range(FLASH_ENTRIES):
+                    along[e] = nx * value[0, e] + ny * value[1, e]
+                claimed = nx * nx * noise[j, 0, 0] + 2.0 * nx * ny * noise[j, 0, 1] + ny * ny * noise[j, 1, 1]
+                fitted = projected(covariance, index, along, FLASH_ENTRIES, first)
+                residual[kind, 0] += (nx * (seen[j, 0] - fx) + ny * (seen[j, 1] - fy)) ** 2 / claimed
+                residual[kind, 1] += max(1.0 - fitted / claimed, 0.0)
+                nx, ny = -ny, nx
             continue
         total -= none[j]
     return total, margin, other_flash, other_wall

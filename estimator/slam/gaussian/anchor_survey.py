@@ -17,16 +17,18 @@ from estimator.slam.anchors.observations import direct_ratio, gathered
 from estimator.slam.anchors.search import scene_of
 from estimator.slam.anchors.survey import Survey, survey_anchor
 from estimator.slam.gaussian.config import GaussianConfig
+from estimator.slam.gaussian.recalled_track import Move
 from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.models.epoch_paths import EpochPaths
-from estimator.slam.models.path_buffer import PathBuffer
+from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.path_loss import known_gain_offsets
 from estimator.slam.models.state_vector import NOWHERE_M
 from estimator.slam.models.visibility import prior_visibility
 
-__all__ = ["forget_guesses", "is_track_known", "is_tracked", "survey_anchors", "surveyed_paths"]
+__all__ = ["forget_guesses", "is_track_known", "is_tracked", "survey", "survey_anchors", "with_survey_place"]
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 _KNOWN_M2 = 1e-12  # variance of an anchor known from the start, left by rounding where hypotheses were merged
 
 
@@ -56,23 +58,59 @@ def is_track_known(state: GaussianState, config: AnchorSearchConfig) -> bool:
     return variance < config.survey_track_std_m**2
 
 
-def surveyed_paths(state: GaussianState, paths: EpochPaths, config: AnchorSearchConfig) -> PathBuffer:
-    """The paths along the track with this epoch's, if the agent has come on and is known to be there."""
+def with_survey_place(state: GaussianState, paths: EpochPaths, config: AnchorSearchConfig) -> GaussianState:
+    """The state with this epoch's place and paths among those surveyed, if the agent has come on."""
     track, best = state.surveyed.track, state.hypotheses.best
     mean, covariance = state.hypotheses.mean[best], state.hypotheses.covariance[best]
     std = float(np.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1])))
     if std > config.survey_track_std_m or not paths.number.any():
-        return state.surveyed
-    kept, count = state.surveyed, len(track.epoch)
+        return state
+    kept, recalled, count = state.surveyed, state.recalled, len(track.epoch)
     if count:
         apart = np.hypot(*np.diff(track.position_m, axis=0).T)
         step = max(config.survey_step_m, 0.9 * float(np.min(apart, initial=np.inf)) if count > 1 else 0.0)
         if np.hypot(*(mean[:2] - track.position_m[-1])) < step:
-            return kept
+            return state
     if count >= config.survey_track:
-        kept = kept.thinned()
+        kept, recalled = kept.thinned(), recalled.every_other()
     unused = np.zeros(paths.length_m.shape, dtype=np.bool_)
-    return kept.with_epoch(state.epoch, mean[:2], std, paths, unused, state.epoch + 1)
+    kept = kept.with_epoch(state.epoch, mean[:2], std, paths, unused, state.epoch + 1)
+    return state.but(surveyed=kept, recalled=recalled.with_place(mean, covariance))
+
+
+def survey(
+    state: GaussianState,
+    predicted: Hypotheses,
+    move: Move,
+    paths: EpochPaths,
+    config: GaussianConfig,
+    search: AnchorSearchConfig,
+) -> GaussianState:
+    """Recall the places passed as they are known after an epoch; survey anchors from them where that is well.
+
+    Parameters
+    ----------
+    state : GaussianState
+        State after the epoch.
+    predicted : Hypotheses
+        At the epoch, before its measurements.
+    move : Move
+        How they were predicted.
+    paths : EpochPaths
+        Its paths.
+    config : GaussianConfig
+        Models.
+    search : AnchorSearchConfig
+        Limits of this epoch.
+    """
+    if is_tracked(state, search):
+        recalled = state.recalled.after(
+            state.layout, predicted, state.hypotheses, move, config.gating.gate_sigma
+        )
+    else:
+        recalled = state.recalled.unlinked(state.layout.size)
+    state = with_survey_place(state.but(recalled=recalled), paths, search)
+    return survey_anchors(state, config, search) if is_track_known(state, search) else state
 
 
 def survey_anchors(state: GaussianState, config: GaussianConfig, search: AnchorSearchConfig) -> GaussianState:
@@ -120,18 +158,33 @@ def _survey_one(
         these = np.flatnonzero(own & (log.epoch == epoch))
         variance = np.maximum(log.std_m[these], config.heard.range_std_m) ** 2
         epochs.append((log.length_m[these], variance, direct_ratio(log.excess_loss_db[these] - gain, search)))
-    seen = gathered(log.track.position_m[rows], log.track.std_m[rows] ** 2, epochs)
+    recalled = state.recalled
+    seen = gathered(recalled.position_m[rows], recalled.covariance_m2[rows], epochs)
     walls = np.flatnonzero(hypotheses.present[best] & state.slots.confirmed)
     vrp = mean[layout.walls].reshape(-1, 2)[walls]
     spread = np.array([covariance[layout.wall(s), layout.wall(s)] for s in walls.tolist()]).reshape(-1, 2, 2)
     scene = scene_of(seen, vrp, spread, config.noise, search, float(covariance[bias, bias]))
     present = mean[place][:3] if located else None
-    found = survey_anchor(scene, float(mean[bias]), heights_of(search)[0], present, search)
-    return _decided(state, k, found, config, search)
+    stretch = _stretches(state, walls, search.survey_beyond)
+    found = survey_anchor(scene, stretch, float(mean[bias]), heights_of(search)[0], present, search)
+    return _decided(state, k, found, rows, config, search)
+
+
+def _stretches(state: GaussianState, walls: Index, beyond: float) -> Array:
+    """First and last place (L, 2) along each wall that may reflect; anywhere if no sweep showed it."""
+    image = state.slots.flash_m[walls]
+    away = 0.5 * np.linalg.norm(image[:, :, 1] - image[:, :, 0], axis=2).max(axis=1)
+    margin = np.where(np.isfinite(away), beyond * away, np.inf)
+    return np.asarray(state.slots.extent_m[walls] + margin[:, None] * [-1.0, 1.0])
 
 
 def _decided(
-    state: GaussianState, k: int, found: Survey, config: GaussianConfig, search: AnchorSearchConfig
+    state: GaussianState,
+    k: int,
+    found: Survey,
+    rows: Index,
+    config: GaussianConfig,
+    search: AnchorSearchConfig,
 ) -> GaussianState:
     """The state after a survey of anchor ``k``."""
     best, layout = state.hypotheses.best, state.layout
@@ -145,7 +198,7 @@ def _decided(
     if located and moved < max(search.survey_apart_m, search.search_gate_sigma * np.sqrt(spread)):
         return state
     if found.margin(0, search.survey_apart_m) > search.survey_nats:
-        return _with_anchor(state, k, found.place[0], found.covariance[0], config, search)
+        return _with_anchor(state, k, found, rows, config, search)
     if located:
         present = found.log_evidence[found.present] if found.present >= 0 else -np.inf
         if found.log_evidence[0] - present > search.survey_nats:
@@ -171,17 +224,36 @@ def _without_anchor(state: GaussianState, k: int, config: GaussianConfig) -> Gau
 def _with_anchor(
     state: GaussianState,
     k: int,
-    place: Array,
-    covariance: Array,
+    found: Survey,
+    rows: Index,
     config: GaussianConfig,
     search: AnchorSearchConfig,
 ) -> GaussianState:
-    """All hypotheses with anchor ``k`` at a surveyed place (3,)."""
-    state = _without_anchor(state, k, config)
-    hypotheses, std = state.hypotheses, search.survey_start_std_m
-    known = slice(state.layout.anchor(k).start, state.layout.height2(k) + 1)
+    """All hypotheses with anchor ``k`` at its likeliest place, which moves with the agent.
+
+    The errors of the positions that it was surveyed from are taken for fully dependent on each other: drift
+    is common to many.
+    """
+    best = state.hypotheses.best
+    here, known_here = state.hypotheses.mean[best, :2], state.hypotheses.covariance[best, :2, :2]
+    place, lever = found.place[0], found.lever[0]
+    value, vector = np.linalg.eigh(state.recalled.covariance_m2[rows])
+    root = (vector * np.sqrt(np.maximum(value, 0.0))[:, None, :]) @ vector.transpose(0, 2, 1)
+    common = (lever @ root).sum(axis=0)
+    with_agent = (lever @ state.recalled.with_state[rows, :, :2]).sum(axis=0)
+    by_agent = with_agent @ np.linalg.pinv(known_here)
+    value, vector = np.linalg.eigh(common @ common.T - by_agent @ with_agent.T)
+    apart = (vector * np.maximum(value, 0.0)) @ vector.T
+    std = search.survey_start_std_m
     height = 2.0 * np.sqrt(place[2]) * std + std**2
-    hypotheses.mean[:, known] = place
-    hypotheses.covariance[:, known, known] = covariance + np.diag([std**2, std**2, height**2])
+    own = found.covariance[0] + apart + np.diag([std**2, std**2, height**2])
+    state = _without_anchor(state, k, config)
+    hypotheses = state.hypotheses
+    known = slice(state.layout.anchor(k).start, state.layout.height2(k) + 1)
+    hypotheses.mean[:, known] = place + (hypotheses.mean[:, :2] - here) @ by_agent.T
+    shared = by_agent @ hypotheses.covariance[:, :2, :]
+    hypotheses.covariance[:, known, :] = shared
+    hypotheses.covariance[:, :, known] = shared.transpose(0, 2, 1)
+    hypotheses.covariance[:, known, known] = shared[:, :, :2] @ by_agent.T + own
     hypotheses.located[:, k] = True
-    return state.but(hypotheses=hypotheses)
+    return state.but(hypotheses=hypotheses, recalled=state.recalled.moved(known, by_agent))

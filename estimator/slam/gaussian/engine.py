@@ -19,10 +19,8 @@ from estimator.errors import InputError
 from estimator.measurements import AnchorPaths, Epoch
 from estimator.slam.gaussian.anchor_survey import (
     forget_guesses,
-    is_track_known,
     is_tracked,
-    survey_anchors,
-    surveyed_paths,
+    survey,
 )
 from estimator.slam.gaussian.anchors import initialise_anchors
 from estimator.slam.gaussian.births.virtual_anchors import bear_virtual_anchors, shorter_than_sight
@@ -41,6 +39,7 @@ from estimator.slam.gaussian.lifecycle import (
 )
 from estimator.slam.gaussian.phase import Phase, phase_of
 from estimator.slam.gaussian.predict import predict
+from estimator.slam.gaussian.recalled_track import Move
 from estimator.slam.gaussian.reclassification import associated_now
 from estimator.slam.gaussian.start import start
 from estimator.slam.gaussian.state import GaussianState, load_state, save_state
@@ -104,9 +103,10 @@ def step(
     paths = believed(paths, config.noise.range_std_m, state.levels, epoch.time_s, config.noise_level.model)
     earlier = state
     state = _predict(state, epoch, config)
+    predicted = state
     if epoch.sweep and state.shared:
         state = follow_sweep(state, epoch, paths, config, phase)
-    before, predicted = state.log_evidence, state.hypotheses
+    before, unlabelled = state.log_evidence, state.hypotheses
     state, explained = _update(state, paths, config)
     state = on_present_clock(state, earlier.hypotheses, config)
     located = state.hypotheses.located[state.hypotheses.best]
@@ -117,13 +117,18 @@ def step(
     )
     if is_tracked(state, config.anchors) and not epoch.sweep:
         state = state.but(
-            hypotheses=_with_doubt(state.hypotheses, predicted, config.sweeps.mislabelled_probability)
+            hypotheses=_with_doubt(state.hypotheses, unlabelled, config.sweeps.mislabelled_probability)
         )
     state = _locate(state, paths, config, phase)
     state = _remember(state, paths, explained, config)
     state = _bear(state, config, phase)
     reduced = reduce_mixture(state.hypotheses, config.reduce_model(phase, state.layout))
     state = _live_on(state.but(hypotheses=reduced), config, phase)
+    if state.shared:
+        step_s = epoch.time_s - earlier.time_s
+        driving, by_odometry = config.motion.driving(step_s), epoch.odometry is not None
+        move = Move(step_s, driving, by_odometry, earlier.hypotheses.number)
+        state = survey(state, predicted.hypotheses, move, paths, config, phase.anchors)
     place, std = _place(state.hypotheses)
     jump_m = float(np.linalg.norm(place - place_before))
     if jump_m < reach_m + config.integrity.jump_sigma * (std_before + std):
@@ -250,9 +255,6 @@ def _locate(state: GaussianState, paths: EpochPaths, config: GaussianConfig, pha
     """Locate anchors: surveyed where the track is known without them, or else searched at once."""
     if not state.shared:
         return initialise_anchors(state, paths, config, phase)
-    state = state.but(surveyed=surveyed_paths(state, paths, config.anchors))
-    if is_track_known(state, config.anchors):
-        return survey_anchors(state, config, phase.anchors)
     if is_tracked(state, config.anchors):
         return state
     return initialise_anchors(state, paths, config, phase)

@@ -18,6 +18,7 @@ from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.integrity import no_indicators
+from estimator.slam.gaussian.recalled_track import RecalledTrack
 from estimator.slam.gaussian.state import GaussianState, Slots
 from estimator.slam.models.clocks import clock_prior
 from estimator.slam.models.hypotheses import Hypotheses
@@ -181,10 +182,11 @@ def state_of(
         slots=slots,
         buffer=PathBuffer.empty(),
         surveyed=PathBuffer.empty(),
+        recalled=RecalledTrack.empty(mean.size),
         swept_epoch=-1,
         tracked_epoch=-1,
         indicators=no_indicators(config.integrity),
-        echo_residuals=np.full(2, config.sweeps.residual_flashes),
+        echo_residuals=np.full((2, 2), config.sweeps.residual_flashes),
         losses_db=first_losses(anchors, config.noise.gain_offset_std_db, config.path_loss),
         levels=first_levels(anchors, config.noise_level.levels_weighed),
     )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.slam.archive import Columns, pack, unpack
 from estimator.slam.gaussian.integrity import Indicators
+from estimator.slam.gaussian.recalled_track import RecalledTrack
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.noise_level import Levels
 from estimator.slam.models.path_buffer import PathBuffer
@@ -17,7 +18,7 @@ from estimator.slam.models.state_vector import Layout
 __all__ = ["GaussianState", "Slots", "load_state", "save_state"]
 
 Array = NDArray[np.float64]
-FORMAT = "hapslam-gaussian-state/10"
+FORMAT = "hapslam-gaussian-state/11"
 
 
 class Slots(NamedTuple):
@@ -97,13 +98,15 @@ class GaussianState(NamedTuple):
         The recent track and its paths.
     surveyed : PathBuffer
         Places of the track as far as it is known, and their paths, for surveys of anchors.
+    recalled : RecalledTrack
+        The same places as they are known by now.
     swept_epoch : int
         The last epoch with a sweep, the first of the run where there was none since.
     tracked_epoch : int
         The last epoch on the way whose motion sweeps or odometry told, -1 if none was.
-    echo_residuals : ndarray, shape (2,)
-        Sum of the squared residuals of flashes in range over what is claimed of them, and what it should be:
-        of the recent sweeps.
+    echo_residuals : ndarray, shape (2, 2)
+        Sum of the squared residuals of flashes over what is claimed of them, and what it should be: in range,
+        then in direction, of the recent sweeps.
     indicators : Indicators
         Signs of whether the run is right (:mod:`estimator.slam.gaussian.integrity`).
     losses_db : ndarray, shape (K, 2, 2)
@@ -124,6 +127,7 @@ class GaussianState(NamedTuple):
     slots: Slots
     buffer: PathBuffer
     surveyed: PathBuffer
+    recalled: RecalledTrack
     swept_epoch: int
     tracked_epoch: int
     echo_residuals: Array
@@ -172,6 +176,7 @@ def save_state(state: GaussianState) -> bytes:
     columns |= {f"hypotheses.{name}": getattr(state.hypotheses, name) for name in Hypotheses._fields}
     columns |= {f"slots.{name}": getattr(state.slots, name) for name in Slots._fields}
     columns |= {f"levels.{name}": getattr(state.levels, name) for name in Levels._fields}
+    columns |= {f"recalled.{name}": getattr(state.recalled, name) for name in RecalledTrack._fields}
     columns |= state.buffer.columns("buffer") | state.surveyed.columns("surveyed")
     return pack(FORMAT, columns)
 
@@ -192,6 +197,7 @@ def load_state(data: bytes) -> GaussianState:
             slots=Slots(*(columns[f"slots.{name}"] for name in Slots._fields)),
             buffer=PathBuffer.of_columns(columns, "buffer"),
             surveyed=PathBuffer.of_columns(columns, "surveyed"),
+            recalled=RecalledTrack(*(columns[f"recalled.{name}"] for name in RecalledTrack._fields)),
             losses_db=columns["losses_db"],
             echo_residuals=columns["echo_residuals"],
             indicators=Indicators(*columns["indicators"].tolist()),

@@ -19,6 +19,7 @@ from estimator.slam.association.sweep_matching import MatchModel, heading_of, ma
 from estimator.slam.gaussian.polar_correction import correct_along_circles
 from estimator.slam.gaussian.slots import open_slot
 from estimator.slam.gaussian.state import GaussianState
+from estimator.slam.models.extents import bounce_along_wall
 from estimator.slam.models.features import mirror
 from estimator.slam.models.hypotheses import Hypotheses, log_sum_exp
 from estimator.slam.models.settings import Settings, not_negative, positive, probability
@@ -62,8 +63,8 @@ class SweepMatching(Settings):
     least_new_weight : float
         Weight of the hypotheses that must ask for a new wall; it enters those alone.
     residual_flashes, residual_memory : float
-        The variance claimed of flashes is scaled to their residuals in range: the claim counts as so many
-        flashes, and the last so many tell.
+        The variances claimed of flashes are scaled to their residuals, in range and in direction: the claim
+        counts as so many flashes, and the last so many tell.
     often_epochs : int
         Sweeps no more epochs apart than this tell how the agent moves.
     mislabelled_probability : float
@@ -119,10 +120,10 @@ def _update(
 ) -> tuple[int, Index, Index, Array]:
     """Correct the first ``before`` hypotheses in place; the others are room for rivals of doubtful matches.
 
-    How many there are then, which one (R,) each was, the walls (R, J) of its flashes, residuals (R, 2).
+    How many there are then, which one (R,) each was, the walls (R, J) of its flashes, residuals (R, 2, 2).
     """
     flashes, n = seen.shape[0], hypotheses.mean.shape[1]
-    label, residual = np.empty((2 * before, flashes), dtype=np.int64), np.empty((2 * before, 2))
+    label, residual = np.empty((2 * before, flashes), dtype=np.int64), np.empty((2 * before, 2, 2))
     back, spread = np.empty(seen.shape), np.empty(noise.shape)
     slot = np.empty(flashes, dtype=np.int64)
     count, parent = before, np.arange(2 * before)
@@ -225,10 +226,10 @@ def take_sweep(
         return state, np.arange(state.hypotheses.number)
     to_gauge = rotation_matrix(-state.bearing_rad)
     seen = np.array([wall.mean_m for wall in sweep]) @ to_gauge.T
-    scale = float(state.echo_residuals[0] / state.echo_residuals[1])
     noise = np.array([to_gauge @ own_covariance(wall, model.echo_bias_std_m) @ to_gauge.T for wall in sweep])
-    scale = min(max(scale, model.least_echo_scale), model.most_echo_scale)
-    noise *= scale
+    scale = state.echo_residuals[:, 0] / state.echo_residuals[:, 1]
+    scale = np.clip(scale, model.least_echo_scale, model.most_echo_scale)
+    noise = _scaled(noise, seen, scale)
     room = state.hypotheses.take(np.tile(np.arange(state.hypotheses.number), 2))
     count, parent, label, residual = _update(
         state.layout, room, state.hypotheses.number, seen, noise, heading_held, model.compiled(most_turn_rad)
@@ -237,8 +238,8 @@ def take_sweep(
     evidence = log_sum_exp(corrected.log_weight)
     corrected.log_weight[...] -= evidence
     often = state.swept_within(model.often_epochs)
-    told = np.array([scale, 1.0]) * residual[corrected.best]
-    kept = max(1.0 - told[1] / model.residual_memory, 0.0)
+    told = residual[corrected.best] * np.stack([scale, np.ones(2)], axis=1)
+    kept = np.maximum(1.0 - told[:, 1:] / model.residual_memory, 0.0)
     state = state.but(
         hypotheses=corrected,
         log_evidence=state.log_evidence + evidence,
@@ -253,6 +254,8 @@ def take_sweep(
     for slot in shown[shown >= 0].tolist():
         slots.flash_m[slot, 1, 0] = likeliest[:2]
         slots.flash_m[slot, 1, 1] = mirror(*likeliest[:2], *likeliest[state.layout.wall(slot)])
+        foot = bounce_along_wall(*likeliest[:2], *likeliest[:2], *likeliest[state.layout.wall(slot)])
+        slots.extent_m[slot] = min(slots.extent_m[slot, 0], foot), max(slots.extent_m[slot, 1], foot)
     state = state.but(slots=slots)
     if heading_held:
         weight = np.exp(corrected.log_weight)
@@ -260,6 +263,14 @@ def take_sweep(
             if weight[label[:, j] == -1].sum() > model.least_new_weight:
                 state = _enter(state, np.flatnonzero(label[:, j] == -1), seen[j], noise[j], visibility)
     return state, parent[:count]
+
+
+def _scaled(noise: Array, seen: Array, scale: Array) -> Array:
+    """Covariances (J, 2, 2) of flashes, variances in range and in direction ``scale`` (2,) times as large."""
+    away = seen / np.linalg.norm(seen, axis=1)[:, None]
+    axes = np.stack([away, away @ _QUARTER.T], axis=2)
+    stretch = (axes * np.sqrt(scale)) @ axes.transpose(0, 2, 1)
+    return np.asarray(stretch @ noise @ stretch)
 
 
 def _enter(
@@ -297,4 +308,5 @@ def _enter(
     likeliest = new.mean[members[np.argmax(new.log_weight[members])]]
     slots.flash_m[slot, :, 0] = likeliest[:2]
     slots.flash_m[slot, :, 1] = mirror(*likeliest[:2], *likeliest[columns])
+    slots.extent_m[slot] = bounce_along_wall(*likeliest[:2], *likeliest[:2], *likeliest[columns])
     return state.but(hypotheses=new, slots=slots, next_wall_id=state.next_wall_id + 1)

@@ -19,6 +19,7 @@ ALLOWED = {
     "gaussian/integrity.py": {"_LEAST_STD_M"},
     "gaussian/relocation.py": {"_LEAST_M"},
     "gaussian/anchor_survey.py": {"_KNOWN_M2"},
+    "gaussian/recalled_track.py": {"_ROUNDING_M2"},
     # rounding at which an iteration stops
     "association/belief_propagation.py": {"ITERATIONS", "_SETTLED"},
     # what kinds of settings take

@@ -42,7 +42,7 @@ def observed(
         length = np.sqrt(path_lengths(anchor, agent, walls) ** 2 + height2) + bias
         length = np.concatenate([length, extra])
         epochs.append((length, np.full(length.size, 0.01), np.ones(length.size)))
-    return gathered(np.array(agents), np.full(len(agents), 0.01), epochs)
+    return gathered(np.array(agents), np.tile(0.01 * np.eye(2), (len(agents), 1, 1)), epochs)
 
 
 def scene(seen: Observations, walls: np.ndarray = WALLS, spread: np.ndarray = SPREAD) -> Scene:

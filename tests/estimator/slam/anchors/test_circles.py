@@ -16,7 +16,7 @@ def circles_at(agents, pairs=((0, 1), (2, 3))):
     """Circles of some positions with known pairs."""
     return image_circles(
         np.array(agents, dtype=float),
-        np.full(len(agents), 0.5),
+        np.tile(0.5 * np.eye(2), (len(agents), 1, 1)),
         np.full(len(agents), 0.04),
         WALLS,
         SPREAD,
@@ -44,11 +44,27 @@ def test_errors_of_agent_and_walls_add_up():
     assert not circles.xy.any()
 
 
+def test_centres_move_with_the_agent_as_they_say():
+    """A place surveyed from them would be tied to the track the wrong way round."""
+    still, small = np.array([2.0, 1.0]), 1e-6
+    circles = circles_at([still, still + [small, 0.0], still + [0.0, small]])
+    for axis in (0, 1):
+        dx, dy = circles.x[1 + axis] - circles.x[0], circles.y[1 + axis] - circles.y[0]
+        moved = np.stack([dx, dy], axis=1) / small
+        np.testing.assert_allclose(circles.by_agent[:, :, axis], moved, atol=1e-6)
+
+
 def test_no_direction_is_wider_than_the_reach():
     """A reach too small would lose paths before they are compared with the gate."""
     spread = np.array([[[0.5, 0.3], [0.3, 0.2]]] * 4)
     circles = image_circles(
-        np.zeros((1, 2)), np.zeros(1), np.array([0.04]), WALLS, spread, np.zeros((0, 2), dtype=np.int64), 3.0
+        np.zeros((1, 2)),
+        np.zeros((1, 2, 2)),
+        np.array([0.04]),
+        WALLS,
+        spread,
+        np.zeros((0, 2), dtype=np.int64),
+        3.0,
     )
     turn = np.linspace(0.0, np.pi, 181)
     along = np.stack([np.cos(turn), np.sin(turn)])

@@ -42,7 +42,7 @@ def test_the_table_finds_what_a_search_of_all_pairs_finds(seed, height2):
     rng = np.random.default_rng(seed)
     lengths, variance = rng.uniform(5.0, 90.0, 30), rng.uniform(0.01, 0.5, 30)
     ratio = rng.uniform(0.5, 3.0, 30)
-    seen = gathered(rng.uniform(-1.0, 1.0, (1, 2)), np.array([0.3]), [(lengths, variance, ratio)])
+    seen = gathered(rng.uniform(-1.0, 1.0, (1, 2)), 0.3 * np.eye(2)[None], [(lengths, variance, ratio)])
     given = scene_of(seen, WALLS, 10.0 * SPREAD, NOISE, replace(SEARCH, max_gated=30))
     place = Place(*rng.uniform(-10.0, 10.0, 2), 0.7, height2, 0.5 * height2)
     order = np.argsort(lengths)
@@ -69,7 +69,7 @@ def test_of_many_paths_the_nearest_are_compared():
     """However many paths pile up, a circle takes a bounded number of them, and not the worst."""
     length = np.linalg.norm(ANCHOR)
     crowd = length + np.linspace(-0.3, 0.3, 101)
-    seen = gathered(np.zeros((1, 2)), np.array([0.01]), [(crowd, np.full(101, 0.01), np.ones(101))])
+    seen = gathered(np.zeros((1, 2)), 0.01 * np.eye(2)[None], [(crowd, np.full(101, 0.01), np.ones(101))])
     pairs = gated(scene(seen), Place(*ANCHOR, 0.0, 0.0, 0.0), 0, 1)[0]
     nearest = np.argsort(np.abs(crowd - length), kind="stable")[: SEARCH.max_gated]
     gap = np.abs(crowd[[j for j, _ in pairs]] - length)

@@ -33,7 +33,7 @@ def test_the_present_epoch_is_the_last_and_every_fourth_before_it_is_used():
     """The last epoch decides what is fresh; neighbouring epochs would count the same evidence twice."""
     seen = observations(9)
     np.testing.assert_array_equal(seen.position_m[:, 0], [0.0, 4.0, 8.0, 9.0])
-    np.testing.assert_allclose(seen.variance_m2, [0.04, 0.04, 0.04, 0.3])
+    np.testing.assert_allclose(seen.covariance_m2[:, 0, 0], [0.04, 0.04, 0.04, 0.3])
     np.testing.assert_array_equal(seen.length_m[:, 0], [10.0, 14.0, 18.0, 5.0])
 
 
@@ -65,7 +65,11 @@ def test_the_table_leads_to_the_first_path_that_may_be_long_enough():
     rng = np.random.default_rng(1)
     lengths = rng.uniform(3.0, 90.0, 40)
     one = np.ones(40)
-    seen = gathered(np.zeros((2, 2)), np.ones(2), [(lengths, one, one), (lengths[:3], one[:3], one[:3])])
+    seen = gathered(
+        np.zeros((2, 2)),
+        np.tile(np.eye(2), (2, 1, 1)),
+        [(lengths, one, one), (lengths[:3], one[:3], one[:3])],
+    )
     for e, own in enumerate((np.sort(lengths), np.sort(lengths[:3]))):
         for wanted in rng.uniform(0.0, 100.0, 200):
             bucket = min(int(wanted * seen.buckets_per_m), seen.first.shape[1] - 1)

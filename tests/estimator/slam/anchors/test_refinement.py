@@ -30,7 +30,7 @@ def test_it_is_the_weighted_least_squares_solution_and_its_information():
     rng, agent = np.random.default_rng(2), np.array([1.0, 2.0])
     lengths = path_lengths(ANCHOR, agent) + 0.1 * rng.standard_normal(5)
     variance = np.array([0.01, 0.02, 0.04, 0.01, 0.03])
-    seen = gathered(agent[None], np.array([0.01]), [(lengths, variance, np.ones(5))])
+    seen = gathered(agent[None], 0.01 * np.eye(2)[None], [(lengths, variance, np.ones(5))])
     given = scene(seen)
     spread = np.array([0.01, 0.02, 0.03, 0.04, 0.05])  # of agent and walls, alike in all directions
 

@@ -37,7 +37,7 @@ def scene():
 
 def matched(mean, covariance, seen, forced=NOBODY):
     """What flashes are taken for, and the log density, the margin and the least sure of them."""
-    slot, residual = np.empty(len(seen), dtype=np.int64), np.empty(2)
+    slot, residual = np.empty(len(seen), dtype=np.int64), np.empty((2, 2))
     noise = np.tile(NOISE, (len(seen), 1, 1))
     told = sweep_matching.match_flashes(
         LAYOUT, mean, covariance, np.ones(3, dtype=bool), seen, noise, 0.0, MODEL, forced, slot, residual
@@ -51,8 +51,8 @@ def test_flashes_of_known_walls_are_theirs():
     seen = predict_flashes(mean[:-1], LAYOUT)[0][[2, 0, 1]]
     slot, residual, _ = matched(mean, covariance, seen)
     assert slot.tolist() == [2, 0, 1]
-    assert residual[0] < 1e-6
-    assert 0.0 < residual[1] < 3.0
+    assert np.all(residual[:, 0] < 1e-6)
+    assert np.all((residual[:, 1] > 0.0) & (residual[:, 1] < 3.0))
     assert covariance[0, 0] < 0.02**2
 
 

@@ -137,3 +137,29 @@ def test_no_sweep_changes_nothing():
     """An epoch without flashes leaves the state itself."""
     state = some_state()
     assert swept(state, []) is state
+
+
+def test_flashes_tell_where_a_wall_reflects():
+    """The feet of the agent on the wall, one after the other."""
+    state = some_state()
+    once = swept(state, flashes(state)[0]).slots.extent_m
+    walls = state.hypotheses.mean[0, state.layout.walls].reshape(-1, 2)
+    along = np.stack([-walls[:, 1], walls[:, 0]], axis=1) / np.linalg.norm(walls, axis=1)[:, None]
+    foot = along @ state.hypotheses.mean[0, :2]
+    np.testing.assert_allclose(once[:, 0], np.minimum(foot, 0.0), atol=1e-9)
+    np.testing.assert_allclose(once[:, 1], np.maximum(foot, 0.0), atol=1e-9)
+
+
+def test_range_and_direction_are_believed_apart():
+    """Residuals in range alone make variances in range alone larger."""
+    state = some_state()
+    seen = flashes(state)[0]
+    rng = np.random.default_rng(4)
+    for _ in range(60):
+        size = np.linalg.norm(seen, axis=1)[:, None]
+        sweep = seen + 0.6 * rng.normal(size=(3, 1)) * seen / size
+        kept = swept(state, sweep).echo_residuals
+        state = some_state().but(echo_residuals=kept)
+    scale = state.echo_residuals[:, 0] / state.echo_residuals[:, 1]
+    assert scale[0] > 3.0
+    assert scale[1] < 0.5
