@@ -29,7 +29,7 @@ from estimator.slam.gaussian.clutter import clutter_density
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.estimate import estimate
 from estimator.slam.gaussian.free_clock import guess_clock, on_present_clock, to_remember
-from estimator.slam.gaussian.integrity import with_epoch
+from estimator.slam.gaussian.integrity import possible_evidence, with_epoch
 from estimator.slam.gaussian.lifecycle import (
     delete_corners,
     delete_redundant,
@@ -44,6 +44,7 @@ from estimator.slam.gaussian.reclassification import associated_now
 from estimator.slam.gaussian.start import start
 from estimator.slam.gaussian.state import GaussianState, load_state, save_state
 from estimator.slam.gaussian.sweep_stage import follow_sweep
+from estimator.slam.gaussian.turns import with_doubt
 from estimator.slam.gaussian.update import update_hypotheses
 from estimator.slam.methods import METHODS, Method, note_unused, walls_at_start
 from estimator.slam.mixture_reduction import reduce_mixture
@@ -107,17 +108,18 @@ def step(
     if epoch.sweep and state.shared:
         state = follow_sweep(state, epoch, paths, config, phase)
     before, unlabelled = state.log_evidence, state.hypotheses
-    state, explained = _update(state, paths, config)
+    clutter = clutter_density(state.buffer, state.layout.anchors, state.blind, config.noise, config.clutter)
+    state, explained = _update(state, paths, clutter, config)
     state = on_present_clock(state, earlier.hypotheses, config)
     located = state.hypotheses.located[state.hypotheses.best]
     signs = (
         float(paths.valid[located].sum()),
         float((paths.valid & (explained < 0.5))[located].sum()),
-        state.log_evidence - before,
+        possible_evidence(paths, located, clutter) - (state.log_evidence - before),
     )
     if is_tracked(state, config.anchors) and not epoch.sweep:
         state = state.but(
-            hypotheses=_with_doubt(state.hypotheses, unlabelled, config.sweeps.mislabelled_probability)
+            hypotheses=with_doubt(state.hypotheses, unlabelled, config.sweeps.mislabelled_probability)
         )
     state = _locate(state, paths, config, phase)
     state = _remember(state, paths, explained, config)
@@ -133,7 +135,8 @@ def step(
     jump_m = float(np.linalg.norm(place - place_before))
     if jump_m < reach_m + config.integrity.jump_sigma * (std_before + std):
         jump_m = 0.0
-    return state.but(indicators=with_epoch(state.indicators, *signs, std, jump_m, config.integrity))
+    untold = state.epoch - max(state.swept_epoch, state.tracked_epoch)
+    return state.but(indicators=with_epoch(state.indicators, *signs, std, jump_m, untold, config.integrity))
 
 
 def _place(hypotheses: Hypotheses) -> tuple[Array, float]:
@@ -167,7 +170,9 @@ def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> Gaus
     return state.but(epoch=epoch.index, time_s=epoch.time_s, hypotheses=hypotheses)
 
 
-def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> tuple[GaussianState, Array]:
+def _update(
+    state: GaussianState, paths: EpochPaths, clutter: Array, config: GaussianConfig
+) -> tuple[GaussianState, Array]:
     """Gate, associate, branch and update; how far (K, M) the likeliest hypothesis explains the paths.
 
     A state without any located anchor waits.
@@ -175,7 +180,6 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
     before, slots, layout = state.hypotheses, state.slots, state.layout
     if not before.located.any():
         return state, np.zeros(paths.length_m.shape)
-    clutter = clutter_density(state.buffer, layout.anchors, state.blind, config.noise, config.clutter)
     before = guess_clock(state, paths, clutter, config)
     best = before.best
     levels = learned(
@@ -235,20 +239,6 @@ def _update(state: GaussianState, paths: EpochPaths, config: GaussianConfig) -> 
         state.but(hypotheses=after, slots=slots, levels=levels, log_evidence=state.log_evidence + evidence),
         done.explained[best],
     )
-
-
-def _with_doubt(updated: Hypotheses, predicted: Hypotheses, doubt: float) -> Hypotheses:
-    """The hypotheses, and beside them those without the paths: between sweeps all labels may be wrong.
-
-    The next sweep decides between them.
-    """
-    unlabelled = predicted._replace(
-        log_weight=predicted.log_weight - log_sum_exp(predicted.log_weight) + np.log(doubt)
-    )
-    labelled = updated._replace(
-        log_weight=updated.log_weight - log_sum_exp(updated.log_weight) + np.log1p(-doubt)
-    )
-    return labelled.joined(unlabelled)
 
 
 def _locate(state: GaussianState, paths: EpochPaths, config: GaussianConfig, phase: Phase) -> GaussianState:

@@ -1,15 +1,18 @@
-"""Sudden turns, a branch of the motion model where something can tell it from going on; largest speeds."""
+"""Sudden turns, a branch of the motion model where something can tell it from going on; largest speeds.
+
+Beside what the paths of an epoch without a sweep say stands what would be, were they all mislabelled.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.slam.models.hypotheses import Hypotheses
+from estimator.slam.models.hypotheses import Hypotheses, log_sum_exp
 from estimator.slam.models.motion import Motion
 from estimator.slam.models.state_vector import AGENT
 
-__all__ = ["speed_penalty", "with_turns"]
+__all__ = ["speed_penalty", "with_doubt", "with_turns"]
 
 
 def with_turns(hypotheses: Hypotheses, step_s: float, motion: Motion) -> Hypotheses:
@@ -46,3 +49,17 @@ def speed_penalty(hypotheses: Hypotheses, motion: Motion) -> NDArray[np.float64]
     variance = 0.5 * (hypotheses.covariance[:, 2, 2] + hypotheses.covariance[:, 3, 3])
     slack = (motion.speed_slack * motion.max_speed_m_s) ** 2 + variance
     return np.asarray(-0.5 * np.maximum(speed - motion.max_speed_m_s, 0.0) ** 2 / slack)
+
+
+def with_doubt(updated: Hypotheses, predicted: Hypotheses, doubt: float) -> Hypotheses:
+    """The hypotheses, and beside them those without the paths: between sweeps all labels may be wrong.
+
+    The next sweep decides between them.
+    """
+    unlabelled = predicted._replace(
+        log_weight=predicted.log_weight - log_sum_exp(predicted.log_weight) + np.log(doubt)
+    )
+    labelled = updated._replace(
+        log_weight=updated.log_weight - log_sum_exp(updated.log_weight) + np.log1p(-doubt)
+    )
+    return labelled.joined(unlabelled)
