@@ -156,7 +156,7 @@ def with_epoch(
     paths, unexplained, shortfall : float
         As in :class:`Indicators`, of the epoch alone.
     std_m : float
-        Standard deviation of the position, metres.
+        Standard deviation of the position, both axes together, metres.
     jump_m : float
         How far the agent moved, metres, where it is farther than it can; otherwise 0.
     untold : int
@@ -175,6 +175,8 @@ def with_epoch(
     odds += model.odds_unexplained * lack + model.odds_shortfall * each
     if untold > model.untold_epochs:
         odds += model.odds_untold
+    alone = float(np.exp(-((model.wrong_beyond_m / max(std_m, _LEAST_STD_M)) ** 2)))
+    odds = max(odds, _log_odds(max(alone, model.risk)))
     weight = 1.0 / model.smoothing_epochs
     odds = (1.0 - weight) * now.log_odds + weight * odds
     if jump_m > 0.0:
@@ -204,9 +206,6 @@ def judged(now: Indicators, covariance_m2: Array, model: IntegrityModel) -> Inte
     Its reasons name the signs that speak against it.
     """
     wrong = 1.0 / (1.0 + float(np.exp(-now.log_odds)))
-    wrong = max(
-        wrong, float(np.exp(-(model.wrong_beyond_m**2) / (np.trace(covariance_m2) + _LEAST_STD_M**2)))
-    )
     variance = float(np.linalg.eigvalsh(covariance_m2)[-1])
     level = float(np.sqrt((variance + model.model_std_m**2) * -2.0 * np.log(model.risk)))
     if wrong > model.risk:
