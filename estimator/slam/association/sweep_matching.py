@@ -18,7 +18,7 @@ from estimator.slam.models.kalman import projected, scalar_update
 from estimator.slam.models.state_vector import ECHO_BIAS, FIRST_ANCHOR, PER_ANCHOR, THETA, Layout
 from estimator.slam.models.sweeps import FLASH_ENTRIES, flash_of
 
-__all__ = ["MatchModel", "double_bounce", "flash_cost", "heading_of", "is_double_bounce", "match_flashes"]
+__all__ = ["MatchModel", "are_double_bounces", "double_bounce", "flash_cost", "heading_of", "match_flashes"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -188,24 +188,28 @@ def double_bounce(
 
 
 @compiled
-def is_double_bounce(
+def are_double_bounces(
     layout: Layout, mean: Array, present: NDArray[np.bool_], flash: Array, range_m: float, azimuth_rad: float
 ) -> bool:
-    """Whether a flash, as the agent's place and its image (2, 2), comes over two of the walls ``present``.
+    """Whether flashes come over the same two walls ``present``: the agent's places and its images (F, 2, 2).
 
-    Its range and direction may be off by ``range_m`` and ``azimuth_rad``.
+    Their ranges and directions may be off by ``range_m`` and ``azimuth_rad``.
     """
     first = FIRST_ANCHOR + PER_ANCHOR * layout.anchors
-    px, py = flash[0, 0], flash[0, 1]
-    dx, dy = flash[1, 0] - px, flash[1, 1] - py
-    reach, along = 0.5 * np.hypot(dx, dy), np.arctan2(dy, dx)
     for i in range(layout.slots):
         for j in range(i):
-            if present[i] and present[j]:
-                a, b = first + 2 * i, first + 2 * j
+            if not (present[i] and present[j]):
+                continue
+            a, b = first + 2 * i, first + 2 * j
+            fit = True
+            for f in range(flash.shape[0]):
+                px, py = flash[f, 0, 0], flash[f, 0, 1]
+                dx, dy = flash[f, 1, 0] - px, flash[f, 1, 1] - py
+                reach, along = 0.5 * np.hypot(dx, dy), np.arctan2(dy, dx)
                 own, middle, half = double_bounce(px, py, mean[a], mean[a + 1], mean[b], mean[b + 1])
-                if abs(own - reach) < range_m and abs(wrapped(along - middle)) < half + azimuth_rad:
-                    return True
+                fit &= abs(own - reach) < range_m and abs(wrapped(along - middle)) < half + azimuth_rad
+            if fit:
+                return True
     return False
 
 
@@ -356,5 +360,8 @@ def match_flashes(
                 residual[kind, 1] += max(1.0 - fitted / claimed, 0.0)
                 nx, ny = -ny, nx
             continue
-        total -= none[j]
+        new = _new_density(layout, mean, present, seen[j, 0], seen[j, 1], noise[j], model)
+        pair = _ghost_density(layout, mean, present, seen[j, 0], seen[j, 1], noise[j], model)
+        total += np.log(new + pair)  # where the agent is, the other flashes have told by now
+        slot[j] = -1 if new > pair else -2
     return total, margin, other_flash, other_wall

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
-from estimator.slam.association.sweep_matching import is_double_bounce
+from estimator.slam.association.sweep_matching import are_double_bounces
 from estimator.slam.gaussian.higher_order import explained_by_others
 from estimator.slam.gaussian.slots import close_slot
 from estimator.slam.gaussian.state import GaussianState
@@ -69,10 +69,11 @@ class Lifecycle(Settings):
     delete_log_odds : float
         A wall whose log odds of existence fall below minus this is deleted.
     corner_range_m, corner_azimuth_rad : float
-        A wall that few sweeps showed, first and last where a double bounce over two others should be seen,
-        within these limits, is none: it is the corner between them, metres and radians.
-    corner_sweeps : int
-        So many sweeps are few,
+        A wall that few sweeps showed, or from places far apart, first and last where a double bounce over the
+        same two others, seen more often, should be, is none: it is the corner between them. Within these
+        limits, metres and radians.
+    corner_sweeps, corner_apart_m : int, float
+        So many sweeps are few, so many metres far,
     corner_epochs : int
         and so many epochs must have passed since its birth, while sweeps come often.
     duplicate_m : float
@@ -96,6 +97,7 @@ class Lifecycle(Settings):
     corner_range_m: float = positive(0.15)
     corner_azimuth_rad: float = positive(0.2)
     corner_sweeps: int = positive(20)
+    corner_apart_m: float = positive(5.0)
     corner_epochs: int = positive(10)
     duplicate_m: float = positive(0.5)
 
@@ -171,22 +173,21 @@ def delete_corners(
     best = hypotheses.best
     found = slots.confirmed & hypotheses.present[best]
     old = state.epoch - np.maximum(slots.born, 0) >= model.corner_epochs
-    asked = found & old & (slots.swept < model.corner_sweeps) & np.isfinite(slots.flash_m[:, 0, 0, 0])
+    apart = np.linalg.norm(slots.flash_m[:, 1, 0] - slots.flash_m[:, 0, 0], axis=1)
+    told = (slots.swept < model.corner_sweeps) | (apart > model.corner_apart_m)
+    asked = found & old & told & np.isfinite(slots.flash_m[:, 0, 0, 0])
     asked[:1] = False
     for slot in np.flatnonzero(asked & sweeps_tell).tolist():
-        found[slot] = False
-        if all(
-            is_double_bounce(
-                state.layout,
-                hypotheses.mean[best],
-                found & ~asked,
-                flash,
-                model.corner_range_m,
-                model.corner_azimuth_rad,
-            )
-            for flash in slots.flash_m[slot]
+        if are_double_bounces(
+            state.layout,
+            hypotheses.mean[best],
+            found & (slots.swept > slots.swept[slot]),
+            slots.flash_m[slot],
+            model.corner_range_m,
+            model.corner_azimuth_rad,
         ):
             state = close_slot(state, slot, visibility)
+            found[slot] = False
     return state
 
 
