@@ -100,7 +100,8 @@ class AnchorSearchConfig(Settings):
         How many paths nothing known explains is not known: these shares, or they halved up to so often, are
         equally likely.
     survey_nats : float
-        Log evidence by which a place must beat all others, and none at all.
+        Log evidence by which a place must beat all others, and none at all: a wrong wall explains path after
+        path, so that what neighbouring places tell is not independent.
     survey_apart_m : float
         Places farther apart than this are different, metres.
     survey_beyond : float
@@ -206,7 +207,7 @@ class AnchorSearchConfig(Settings):
     survey_share_wall: float = probability(0.4)
     survey_share_pair: float = probability(0.15)
     survey_halvings: int = not_negative(3)
-    survey_nats: float = positive(20.0)
+    survey_nats: float = positive(40.0)
     survey_apart_m: float = positive(0.3)
     survey_beyond: float = not_negative(1.0)
     survey_start_std_m: float = positive(0.2)

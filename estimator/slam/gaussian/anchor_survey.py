@@ -18,6 +18,7 @@ from estimator.slam.anchors.search import scene_of
 from estimator.slam.anchors.survey import Survey, survey_anchor
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.recalled_track import Move
+from estimator.slam.gaussian.start import begun_again
 from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.models.epoch_paths import EpochPaths
 from estimator.slam.models.hypotheses import Hypotheses
@@ -38,9 +39,14 @@ def is_tracked(state: GaussianState, config: AnchorSearchConfig) -> bool:
 
 
 def forget_guesses(state: GaussianState, config: GaussianConfig) -> GaussianState:
-    """The state where its motion is first told: anchors that were guessed wait for their survey."""
+    """The state where its motion is first told: anchors that were guessed wait for their survey.
+
+    Shortly after the start all is forgotten that they told of walls, too.
+    """
     if state.tracked_epoch >= 0 or state.surveyed.epochs >= config.anchors.survey_least:
         return state
+    if state.outset.mean.size:
+        return begun_again(state, config)
     best = state.hypotheses.best
     for k in np.flatnonzero(state.hypotheses.located.any(axis=0)).tolist():
         place = state.layout.anchor_xy(k)

@@ -42,7 +42,7 @@ from estimator.slam.gaussian.predict import predict
 from estimator.slam.gaussian.recalled_track import Move
 from estimator.slam.gaussian.reclassification import associated_now
 from estimator.slam.gaussian.start import start
-from estimator.slam.gaussian.state import GaussianState, load_state, save_state
+from estimator.slam.gaussian.state import GaussianState, Outset, load_state, save_state
 from estimator.slam.gaussian.sweep_stage import follow_sweep
 from estimator.slam.gaussian.turns import with_doubt
 from estimator.slam.gaussian.update import update_hypotheses
@@ -103,7 +103,7 @@ def step(
     paths = stack_paths(epoch, state.carrier_hz, state.bearing_rad)
     paths = believed(paths, config.noise.range_std_m, state.levels, epoch.time_s, config.noise_level.model)
     earlier = state
-    state = _predict(state, epoch, config)
+    state, move = _predict(state, epoch, config)
     predicted = state
     if epoch.sweep and state.shared:
         state = follow_sweep(state, epoch, paths, config, phase)
@@ -127,9 +127,6 @@ def step(
     reduced = reduce_mixture(state.hypotheses, config.reduce_model(phase, state.layout))
     state = _live_on(state.but(hypotheses=reduced), config, phase)
     if state.shared:
-        step_s = epoch.time_s - earlier.time_s
-        driving, by_odometry = config.motion.driving(step_s), epoch.odometry is not None
-        move = Move(step_s, driving, by_odometry, earlier.hypotheses.number)
         state = survey(state, predicted.hypotheses, move, paths, config, phase.anchors)
     place, std = _place(state.hypotheses)
     jump_m = float(np.linalg.norm(place - place_before))
@@ -158,16 +155,24 @@ def _check(state: GaussianState, epoch: Epoch) -> None:
         )
 
 
-def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> GaussianState:
+def _predict(state: GaussianState, epoch: Epoch, config: GaussianConfig) -> tuple[GaussianState, Move]:
     """The state at the epoch before its measurements; the first epoch is where the state begins."""
-    if state.epoch >= 0 and epoch.odometry is not None and state.shared:
-        state = forget_guesses(state, config).but(tracked_epoch=epoch.index)
-    hypotheses = state.hypotheses
-    if state.epoch >= 0:
-        may_turn = state.shared and (bool(epoch.sweep) or is_tracked(state, config.anchors))
-        step_s = epoch.time_s - state.time_s
-        hypotheses = predict(state.layout, hypotheses, epoch, step_s, may_turn, config)
-    return state.but(epoch=epoch.index, time_s=epoch.time_s, hypotheses=hypotheses)
+    if state.epoch < 0:
+        state = state.but(time_s=epoch.time_s, first_time_s=epoch.time_s)
+        return state.but(epoch=epoch.index), Move(0.0, config.motion.driving(0.0), False, 1)
+    soon = epoch.index - state.swept_epoch <= config.sweeps.often_epochs
+    if state.outset.mean.size and (state.tracked_epoch >= 0 or not (soon and state.shared)):
+        state = state.but(outset=Outset.gone(state.layout.anchors))
+    by_odometry = epoch.odometry is not None
+    if state.shared and (by_odometry or (epoch.sweep and soon)):
+        state = forget_guesses(state, config)
+    if state.shared and by_odometry:
+        state = state.but(tracked_epoch=epoch.index)
+    may_turn = state.shared and (bool(epoch.sweep) or is_tracked(state, config.anchors))
+    step_s = epoch.time_s - state.time_s
+    hypotheses = predict(state.layout, state.hypotheses, epoch, step_s, may_turn, config)
+    move = Move(step_s, config.motion.driving(step_s), by_odometry, state.hypotheses.number)
+    return state.but(epoch=epoch.index, time_s=epoch.time_s, hypotheses=hypotheses), move
 
 
 def _update(

@@ -19,7 +19,7 @@ from estimator.measurements import GaussianVrp
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.integrity import no_indicators
 from estimator.slam.gaussian.recalled_track import RecalledTrack
-from estimator.slam.gaussian.state import GaussianState, Slots
+from estimator.slam.gaussian.state import GaussianState, Outset, Slots
 from estimator.slam.models.clocks import clock_prior
 from estimator.slam.models.hypotheses import Hypotheses
 from estimator.slam.models.noise_level import first_levels
@@ -29,7 +29,7 @@ from estimator.slam.models.state_vector import ECHO_BIAS, HEADING, NOWHERE_M, TH
 from estimator.slam.models.sweeps import own_covariance
 from estimator.slam.models.visibility import prior_visibility
 
-__all__ = ["start", "state_of"]
+__all__ = ["begun_again", "start", "state_of"]
 
 Array = NDArray[np.float64]
 
@@ -187,8 +187,34 @@ def state_of(
         tracked_epoch=-1,
         indicators=no_indicators(config.integrity),
         echo_residuals=np.full((2, 2), config.sweeps.residual_flashes),
+        first_time_s=0.0,
+        outset=Outset(mean.copy(), covariance.copy(), located.copy()),
         losses_db=first_losses(anchors, config.noise.gain_offset_std_db, config.path_loss),
         levels=first_levels(anchors, config.noise_level.levels_weighed),
+    )
+
+
+def begun_again(state: GaussianState, config: GaussianConfig) -> GaussianState:
+    """The state as it was at the first epoch, before anything was guessed from paths; those are kept."""
+    outset = state.outset
+    layout = Layout(state.layout.anchors, state.layout.slots, state.shared)
+    again = state_of(
+        Layout(layout.anchors, (outset.mean.size - layout.walls.start) // layout.per_slot, state.shared),
+        outset.mean,
+        outset.covariance,
+        state.anchor_names,
+        outset.located,
+        state.carrier_hz,
+        config,
+        state.bearing_rad,
+    )
+    first = state.surveyed.epochs == 1
+    return again.but(
+        epoch=state.epoch,
+        time_s=state.first_time_s,
+        first_time_s=state.first_time_s,
+        surveyed=state.surveyed if first else again.surveyed,
+        recalled=state.recalled.unlinked(outset.mean.size) if first else again.recalled,
     )
 
 

@@ -69,6 +69,27 @@ class Slots(NamedTuple):
         return Slots._make([column.copy() for column in self])
 
 
+class Outset(NamedTuple):
+    """The Gaussian that a run began with, until it is known whether something tells its way.
+
+    Parameters
+    ----------
+    mean, covariance : ndarray, shape (n,), (n, n)
+        The Gaussian; empty once it is of no more use.
+    located : ndarray of bool, shape (K,)
+        Anchors that were known.
+    """
+
+    mean: Array
+    covariance: Array
+    located: NDArray[np.bool_]
+
+    @classmethod
+    def gone(cls, anchors: int) -> Outset:
+        """None any more."""
+        return cls(np.empty(0), np.empty((0, 0)), np.zeros(anchors, dtype=np.bool_))
+
+
 class GaussianState(NamedTuple):
     """Hypotheses and what the next steps need of the past.
 
@@ -109,6 +130,10 @@ class GaussianState(NamedTuple):
         then in direction, of the recent sweeps.
     indicators : Indicators
         Signs of whether the run is right (:mod:`estimator.slam.gaussian.integrity`).
+    first_time_s : float
+        Time of the first epoch, seconds.
+    outset : Outset
+        What the run began with.
     losses_db : ndarray, shape (K, 2, 2)
         Losses of each anchor's paths (:mod:`estimator.slam.models.path_loss`).
     levels : Levels
@@ -132,6 +157,8 @@ class GaussianState(NamedTuple):
     tracked_epoch: int
     echo_residuals: Array
     indicators: Indicators
+    first_time_s: float
+    outset: Outset
     losses_db: Array
     levels: Levels
 
@@ -164,6 +191,7 @@ _SCALARS = (
     "shared",
     "swept_epoch",
     "tracked_epoch",
+    "first_time_s",
 )
 
 
@@ -176,6 +204,7 @@ def save_state(state: GaussianState) -> bytes:
     columns |= {f"hypotheses.{name}": getattr(state.hypotheses, name) for name in Hypotheses._fields}
     columns |= {f"slots.{name}": getattr(state.slots, name) for name in Slots._fields}
     columns |= {f"levels.{name}": getattr(state.levels, name) for name in Levels._fields}
+    columns |= {f"outset.{name}": getattr(state.outset, name) for name in Outset._fields}
     columns |= {f"recalled.{name}": getattr(state.recalled, name) for name in RecalledTrack._fields}
     columns |= state.buffer.columns("buffer") | state.surveyed.columns("surveyed")
     return pack(FORMAT, columns)
@@ -198,6 +227,7 @@ def load_state(data: bytes) -> GaussianState:
             buffer=PathBuffer.of_columns(columns, "buffer"),
             surveyed=PathBuffer.of_columns(columns, "surveyed"),
             recalled=RecalledTrack(*(columns[f"recalled.{name}"] for name in RecalledTrack._fields)),
+            outset=Outset(*(columns[f"outset.{name}"] for name in Outset._fields)),
             losses_db=columns["losses_db"],
             echo_residuals=columns["echo_residuals"],
             indicators=Indicators(*columns["indicators"].tolist()),

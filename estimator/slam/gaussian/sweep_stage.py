@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.measurements import Epoch
-from estimator.slam.gaussian.anchor_survey import forget_guesses
 from estimator.slam.gaussian.clutter import clutter_density
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.integrity import is_suspect
@@ -43,8 +42,6 @@ def follow_sweep(
     -------
     GaussianState
     """
-    if state.swept_within(config.sweeps.often_epochs):
-        state = forget_guesses(state, config)
     elsewhere = relocated(
         state,
         epoch.sweep,

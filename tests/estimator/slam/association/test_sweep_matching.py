@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 from estimator.slam.association import sweep_matching
-from estimator.slam.association.sweep_matching import double_bounce
+from estimator.slam.association.sweep_matching import are_double_bounces, double_bounce
 from estimator.slam.gaussian.sweep_update import SweepMatching
 from estimator.slam.models.features import mirror
 from estimator.slam.models.state_vector import ECHO_BIAS, Layout
@@ -140,3 +140,23 @@ def test_a_double_bounce_is_as_long_as_its_legs():
     assert 2.0 * own == pytest.approx(shortest.fun, abs=1e-6)
     ends = [np.arctan2(*(on(wall, shortest.x[wall]) - agent)[::-1]) for wall in range(2)]
     assert sorted(ends) == pytest.approx([middle - half, middle + half], abs=1e-3)
+
+
+def test_a_double_bounce_is_one_pair_seen_from_all_places():
+    """Two flashes that two pairs explain, one each, are no corner."""
+    mean = np.zeros(LAYOUT.size)
+    walls = np.array([[10.0, 0.0], [0.0, 12.0], [-8.0, 0.0]])
+    mean[LAYOUT.walls] = walls.ravel()
+    corner, other = np.array([5.0, 6.0]), np.array([-4.0, 6.0])
+
+    def seen(corners):
+        places = np.array([[1.0, 1.0], [2.0, -3.0]])
+        return np.stack([places, 2.0 * np.array(corners) - places], axis=1)
+
+    present = np.ones(3, dtype=bool)
+    assert are_double_bounces(LAYOUT, mean, present, seen([corner, corner]), 0.1, 0.1)
+    assert are_double_bounces(LAYOUT, mean, present, seen([other, other]), 0.1, 0.1)
+    assert not are_double_bounces(LAYOUT, mean, present, seen([corner, other]), 0.1, 0.1)
+    assert not are_double_bounces(
+        LAYOUT, mean, np.array([True, False, True]), seen([corner, corner]), 0.1, 0.1
+    )

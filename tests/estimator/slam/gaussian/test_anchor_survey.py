@@ -50,7 +50,7 @@ def test_without_sweeps_on_the_way_anchors_start_at_once(room):
 
 def test_an_anchor_put_elsewhere_is_moved_back(room):
     """Its survey says where it stands; all hypotheses take that place."""
-    measured = room.measure(73, 70, sweep_every=1)
+    measured = room.measure(77, 70, sweep_every=1)
     engine, state = stepped(room, measured, 63)
     config = engine.models
     place = state.layout.anchor_xy(0)
@@ -72,3 +72,29 @@ def test_surveyed_places_are_thinned_over_the_whole_track(room):
     assert kept[0] < 20
     assert kept[-1] > 120
     assert set(state.surveyed.epoch.tolist()) <= set(kept.tolist())
+
+
+def test_what_was_guessed_before_the_first_sweep_told_of_no_wall(room):
+    """Where sweeps come at once, walls are as they were sensed: wrong guesses would have pulled at them."""
+    measured = room.measure(75, 3, sweep_every=1)
+    engine = GaussianEngine(config_for(measured))
+    state = engine.start(Prior.of(measured), epoch_rng(0, -1))
+    walls = state.layout.walls
+    sensed = state.hypotheses.covariance[0, walls, walls].copy()
+    state = engine.step(state, measured.epochs[0], epoch_rng(0, 0))
+    assert state.hypotheses.located.any()
+    again = anchor_survey.forget_guesses(state, engine.models)
+    assert not again.hypotheses.located.any()
+    np.testing.assert_array_equal(again.hypotheses.covariance[0, walls, walls], sensed)
+    assert again.epoch == 0
+    assert again.surveyed.epochs == 1
+    for epoch in measured.epochs[1:]:
+        state = engine.step(state, epoch, epoch_rng(0, epoch.index))
+    assert state.outset.mean.size == 0
+
+
+def test_without_sweeps_the_outset_is_forgotten(room):
+    """A few epochs later guesses have to be lived with."""
+    measured = room.measure(76, 8)
+    _, state = stepped(room, measured, 8)
+    assert state.outset.mean.size == 0
