@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 
 _ANY_CLOCK_M2 = 1e4  # variance of a clock bias that is not known
 _ANY_HEADING_RAD2 = 100.0  # variance of a heading that is not known
-_SAME_LINE_M = 0.02  # VRPs nearer than this are of one line, whose ends are rounded
 _UNKNOWN_M2 = 1e6  # variance of a coordinate that is not known
 
 
@@ -172,6 +171,9 @@ class Scenario:
         Time between epochs, seconds.
     height2_m2 : array_like, shape (K,), optional
         Squared height differences of anchors and agent, square metres; zero by default.
+    same_line_m : float
+        Walls whose VRPs are nearer than this lie in one line, metres. Plans round ends of walls to
+        centimetres, which moves the VRPs of two parts of one line apart by about two.
     """
 
     start_m: Array
@@ -180,6 +182,7 @@ class Scenario:
     track_m: Array
     step_s: float = 1.0
     height2_m2: Array | None = None
+    same_line_m: float = 0.02
     _paths: dict[int, SpecularPaths] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -192,6 +195,8 @@ class Scenario:
             raise InputError("Scenario.end_m: expected one end for every start")
         if not 0.0 < self.step_s < np.inf:
             raise InputError(f"Scenario.step_s: expected a positive number, got {self.step_s}")
+        if not 0.0 < self.same_line_m < np.inf:
+            raise InputError(f"Scenario.same_line_m: expected a positive number, got {self.same_line_m}")
 
     @property
     def layout(self) -> Layout:
@@ -277,9 +282,8 @@ class Scenario:
         """For each wall the first one that lies in the same line, shape (L,)."""
         first: list[int] = []
         for wall, vrp in enumerate(self.vrps_m):
-            same = [
-                one for one in dict.fromkeys(first) if np.linalg.norm(self.vrps_m[one] - vrp) < _SAME_LINE_M
-            ]
+            away = {one: np.linalg.norm(self.vrps_m[one] - vrp) for one in first}
+            same = [one for one, distance_m in away.items() if distance_m < self.same_line_m]
             first.append(same[0] if same else wall)
         return np.array(first)
 

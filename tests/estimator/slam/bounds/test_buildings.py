@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from estimator.errors import ConfigurationError
+from estimator.errors import ConfigurationError, InputError
 from estimator.slam.bounds.posterior import posterior_bounds
 from estimator.slam.bounds.scenario import Scenario, Sensing
 
@@ -67,6 +69,15 @@ def test_walls_in_one_line_are_one_unknown(room):
     np.testing.assert_allclose(shared[:, 0], shared[:, 1], atol=1e-9)
     assert np.trace(apart[1, 1]) > 1e3
     assert np.trace(shared[1, 1]) < 0.1
+
+
+def test_how_near_walls_are_of_one_line_is_said(room):
+    """Ends rounded by more than the setting make lines of their own; no width at all is refused."""
+    moved = room.end_m + [[0.0, 0.0], [0.0, 0.05], *[[0.0, 0.0]] * 4]
+    assert replace(room, end_m=moved).lines.tolist() == [0, 1, 2, 3, 4, 5]
+    assert replace(room, end_m=moved, same_line_m=1.0).lines[:2].tolist() == [0, 0]
+    with pytest.raises(InputError, match=r"same_line_m: expected a positive number, got 0\.0"):
+        replace(room, same_line_m=0.0)
 
 
 def test_a_common_echo_bias_is_no_noise(room):
