@@ -47,6 +47,16 @@ def test_snippets_run(
                 assert run.status == 0, f"{page}: {line}: {run.err}"
 
 
+def test_the_stages_of_an_epoch_name_real_modules() -> None:
+    """The walk of one epoch through the engine leads to files that exist, and names each stage once."""
+    text = (ROOT / "docs/estimator.md").read_text(encoding="utf-8")
+    walk = text.split("## One epoch through the Gaussian engine")[1].split("\n## ")[0]
+    modules = re.findall(r"`([\w/]+\.py)`", walk.split("| --- |")[-1])
+    assert len(modules) == len(set(modules)) > 10
+    for module in modules:
+        assert (ROOT / "estimator/slam" / module).is_file(), module
+
+
 def test_the_readme_has_snippets() -> None:
     """The README shows the command line and the library at work."""
     assert {"console", "python", "sh"} <= {language for language, _ in blocks("README.md")}
