@@ -26,6 +26,7 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _AZIMUTHS_PER_BEAM = 4
+_RICHEST_DELAYS = 64  # searched first: where a return is strong, all others have less energy than it
 _STEP_LIMIT_CELLS = 0.25
 _CONVERGED_CELLS = 1e-4
 _RAISED = 1.5  # a beam's noise counts as raised above this multiple of the noise stated: four deviations
@@ -154,6 +155,7 @@ class EchoPursuit:
                 f"blind_range_m: expected less than the longest range of the tones, "
                 f"{last / (self._bins * turns_per_m):.2f} m, got {self.config.blind_range_m}"
             )
+        self._window = slice(first, last + 1)
         self._delays = np.arange(first, last + 1) / self._bins
         lengths = delay_length(grid.tones, float(np.ptp(self._delays))), float(directions)
         self.threshold = detection_threshold(self.config.false_alarm, *lengths)
@@ -191,11 +193,12 @@ class EchoPursuit:
         data = self._model.blank(data)
         weights = self._whitening(data, noise_variance)
         data, model = weights[:, None] * data, self._model.weighted(weights)
-        search = _Search(model.beam_response(self._azimuths)[0])
+        least = self.threshold * self.grid.tones * noise_variance
+        search = _Search(model.beam_response(self._azimuths)[0], self._least, least)
         fit = EchoFit.empty()
         residual = data
         for _ in range(self.config.max_returns):
-            peak = self._detect(search, residual, fit, noise_variance)
+            peak = self._detect(search, residual, fit)
             if peak is None:
                 break
             start = np.append(fit.turns, peak[0]), np.append(fit.azimuth, peak[1])
@@ -218,24 +221,28 @@ class EchoPursuit:
         raised = np.where(floor > _RAISED * noise_variance, floor, noise_variance)
         return np.asarray(np.sqrt(noise_variance / raised))
 
-    def _detect(
-        self, search: _Search, residual: Complex, fit: EchoFit, noise_variance: float
-    ) -> tuple[float, float] | None:
+    def _detect(self, search: _Search, residual: Complex, fit: EchoFit) -> tuple[float, float] | None:
         """Delay and azimuth of the strongest plausible return away from those found, or None."""
         spectrum = scipy.fft.ifft(residual, self._bins, axis=1, norm="forward")
-        window = spectrum[:, np.rint(self._delays * self._bins).astype(np.intp)]
-        power = np.abs(search.patterns.conj() @ window) ** 2  # (azimuths, delays)
-        # Least |z|^2 of a plausible return: its gain is at least the mirror's times the reflectivity.
-        plausible = (search.norm[:, None] * self._least) ** 2
-        power[power < np.maximum(plausible, self.threshold * self.grid.tones * noise_variance)] = 0.0
-        for turns, azimuth in zip(fit.turns, fit.azimuth, strict=True):
-            delays = np.abs(self._delays - turns) * self.grid.tones < 1.0
-            azimuths = np.abs(_wrap(self._azimuths - azimuth)) < self.azimuth_cell_rad
-            power[np.ix_(azimuths, delays)] = 0.0
-        azimuth_bin, delay_bin = np.unravel_index(np.argmax(power), power.shape)
-        if power[azimuth_bin, delay_bin] == 0.0:
-            return None
-        return float(self._delays[delay_bin]), float(self._azimuths[azimuth_bin])
+        window = spectrum[:, self._window]
+        energy = np.sum(window.real**2 + window.imag**2, axis=0)
+        # No azimuth has more than a delay's energy: the richest delays first, then those that may still win.
+        first = np.zeros(len(energy), dtype=bool)
+        first[np.argsort(-energy, kind="stable")[:_RICHEST_DELAYS]] = True
+        best = 0.0
+        place: tuple[float, float] | None = None
+        for chosen in (first, ~first):
+            delays = np.flatnonzero(chosen & (energy > best))
+            power = search.power(window, delays)
+            for turns, azimuth in zip(fit.turns, fit.azimuth, strict=True):
+                near = np.abs(self._delays[delays] - turns) * self.grid.tones < 1.0
+                beside = np.abs(_wrap(self._azimuths - azimuth)) < self.azimuth_cell_rad
+                power[np.ix_(beside, near)] = 0.0
+            if power.size and power.max() > best:
+                azimuth_bin, column = np.unravel_index(np.argmax(power), power.shape)
+                best = float(power[azimuth_bin, column])
+                place = float(self._delays[delays[column]]), float(self._azimuths[azimuth_bin])
+        return place
 
     def _polish(self, model: EchoModel, data: Complex, fit: EchoFit, steps: int) -> EchoFit:
         """Joint Fisher scoring with Levenberg-Marquardt damping; cells bound the steps and the closeness."""
@@ -283,11 +290,21 @@ class EchoPursuit:
 
 
 class _Search:
-    """Beam patterns of the azimuths searched, of unit norm, and their norms."""
+    """Beam patterns of the azimuths searched, of unit norm, and what a return is at least, once a sweep."""
 
-    def __init__(self, response: Complex) -> None:
-        self.norm = np.linalg.norm(response, axis=1)
-        self.patterns = response / self.norm[:, None]
+    def __init__(self, response: Complex, least_gain: Real, least_power: float) -> None:
+        norm = np.linalg.norm(response, axis=1)
+        self._matched = (response / norm[:, None]).conj()
+        # Least |z|^2 of a plausible return: its gain is at least the mirror's times the reflectivity.
+        self._least = np.maximum((norm[:, None] * least_gain) ** 2, least_power)
+
+    def power(self, spectrum: Complex, delays: NDArray[np.intp]) -> Real:
+        """``|z|^2`` of each azimuth and the delays given, shape (azimuths, n); 0 if no return's."""
+        matched = self._matched @ spectrum[:, delays]
+        power = matched.real**2
+        power += matched.imag**2
+        power *= power >= self._least[:, delays]
+        return np.asarray(power)
 
 
 def _wrap(angle_rad: Real) -> Real:

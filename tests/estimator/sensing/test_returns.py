@@ -10,6 +10,7 @@ import pytest
 from estimator.arrays import BeamSet
 from estimator.channel.model import delay_atoms
 from estimator.errors import ConfigurationError, InputError
+from estimator.sensing.ranges import sweep_response
 from estimator.sensing.returns import EchoPursuit, PursuitConfig
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
 
@@ -162,3 +163,20 @@ def test_a_blind_range_over_all_ranges_is_refused() -> None:
     """Nothing can be found where everything is blanked."""
     with pytest.raises(ConfigurationError, match="blind_range_m: expected less than the longest range"):
         EchoPursuit(GRID, BEAMS, PursuitConfig(blind_range_m=400.0, max_range_m=500.0))
+
+
+@pytest.mark.parametrize("first", [1, 64, 100_000])
+def test_the_strongest_return_is_found_whichever_delays_are_searched_first(
+    first: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two returns of one delay have more energy together than the strongest, which still comes first."""
+    monkeypatch.setattr("estimator.sensing.returns._RICHEST_DELAYS", first)
+    grid, beams = OfdmGrid(28e9, 120e3, 816, comb=4, symbols=14), BeamSet(panels=4, elements=8, beams=32)
+    azimuth, distance = np.deg2rad([0.0, 180.0, 90.0]), np.array([12.0, 12.0, 30.0])
+    gain = np.array([0.8, 0.8, 1.0]) * grid.wavelength_m / (8.0 * np.pi * 20.0)
+    echo = sweep_response(grid, beams, azimuth, distance, gain)
+    found = EchoPursuit(grid, beams, PursuitConfig(max_returns=1)).find(
+        echo, 1e-3 * np.mean(np.abs(echo) ** 2)
+    )
+    assert found.range_m == pytest.approx([30.0], abs=0.1)
+    assert found.azimuth_rad == pytest.approx([np.pi / 2.0], abs=0.02)
