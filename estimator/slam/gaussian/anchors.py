@@ -32,7 +32,7 @@ def initialise_anchors(
         Limits of this epoch.
     """
     hypotheses, layout = state.hypotheses, state.layout
-    if not is_due(state.epoch, state.buffer.epochs, bool(hypotheses.located.all()), phase.anchors):
+    if not is_due(state.epoch, state.buffer.epochs, bool(hypotheses.located.all()), config.search):
         return state
     model = config.reduce_model(phase, layout)
 
@@ -51,4 +51,4 @@ def initialise_anchors(
         prune_nats=phase.prune_nats,
         reduce=reduce,
     )
-    return state.but(hypotheses=locate_anchors(hypotheses, given, phase.anchors))
+    return state.but(hypotheses=locate_anchors(hypotheses, given, config.search))

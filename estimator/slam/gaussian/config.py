@@ -162,5 +162,5 @@ class GaussianConfig(SettingGroups):
     def reduce_model(self, phase: Phase, layout: Layout) -> ReduceModel:
         """What mixture reduction takes, in a phase of a run."""
         return reduction_model(
-            self.reduction, layout, phase.prune_nats, phase.unlikely_sigma, phase.max_hypotheses
+            self.reduction, layout, phase.prune_nats, phase.unlikely_sigma, self.reduction.max_hypotheses
         )

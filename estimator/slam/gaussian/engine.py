@@ -97,7 +97,6 @@ def step(
         config.phases,
         config.reduction,
         config.lifecycle,
-        config.search,
     )
     epoch = guard_clutter(epoch, config.noise.most_paths)
     paths = stack_paths(epoch, state.carrier_hz, state.bearing_rad)
@@ -127,7 +126,7 @@ def step(
     reduced = reduce_mixture(state.hypotheses, config.reduce_model(phase, state.layout))
     state = _live_on(state.but(hypotheses=reduced), config, phase)
     if state.shared:
-        state = survey(state, predicted.hypotheses, move, paths, config, phase.anchors)
+        state = survey(state, predicted.hypotheses, move, paths, config, config.search)
     place, std = _place(state.hypotheses)
     jump_m = float(np.linalg.norm(place - place_before))
     if jump_m < reach_m + config.integrity.jump_sigma * (std_before + std):
@@ -289,7 +288,7 @@ def _bear(state: GaussianState, config: GaussianConfig, phase: Phase) -> Gaussia
     if np.any(state.levels.misfit > config.noise_level.doubt_level):
         return state
     if not state.shared:
-        return bear_virtual_anchors(state, config, phase.max_hypotheses)
+        return bear_virtual_anchors(state, config, config.reduction.max_hypotheses)
     if state.epoch % config.path_loss.loss_stride == 0:
         sensed = np.flatnonzero((state.slots.wall_id >= 0) & (state.slots.born < 0))
         losses = learn_losses(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from estimator.slam.anchors.config import AnchorSearchConfig
 from estimator.slam.gaussian.lifecycle import Lifecycle
 from estimator.slam.mixture_reduction import Reduction
 from estimator.slam.models.settings import Settings, positive
@@ -20,9 +19,7 @@ class Phases(Settings):
     Parameters
     ----------
     first_epochs : int
-        Epochs in which more places of the anchors are kept:
-    first_room : int
-        as many times as many places and hypotheses.
+        Epochs in which unlikely hypotheses are merged no earlier than alike ones.
     blind_support : int
         While no wall is known, one needs as many times the support,
     blind_patience : float
@@ -30,7 +27,6 @@ class Phases(Settings):
     """
 
     first_epochs: int = positive(8)
-    first_room: int = positive(2)
     blind_support: int = positive(2)
     blind_patience: float = positive(3.0)
 
@@ -40,19 +36,15 @@ class Phase(NamedTuple):
 
     Parameters
     ----------
-    prune_nats, unlikely_sigma, max_hypotheses
+    prune_nats, unlikely_sigma : float
         Those of :class:`estimator.slam.mixture_reduction.Reduction`.
     confirm_support : int
         That of :class:`estimator.slam.gaussian.lifecycle.Lifecycle`.
-    anchors : AnchorSearchConfig
-        Limits of the search for anchors.
     """
 
     prune_nats: float
     unlikely_sigma: float
-    max_hypotheses: int
     confirm_support: int
-    anchors: AnchorSearchConfig
 
 
 def phase_of(
@@ -61,14 +53,11 @@ def phase_of(
     phases: Phases,
     reduction: Reduction,
     lifecycle: Lifecycle,
-    anchors: AnchorSearchConfig,
 ) -> Phase:
     """The phase of a run after so many epochs, ``blind`` while no wall is known."""
     first = epochs < phases.first_epochs
     return Phase(
         reduction.prune_nats * (phases.blind_patience if blind else 1.0),
         reduction.alike_sigma if first else reduction.unlikely_sigma,
-        reduction.max_hypotheses * (phases.first_room if first else 1),
         lifecycle.confirm_support * (phases.blind_support if blind else 1),
-        anchors.widened() if first else anchors,
     )

@@ -16,7 +16,7 @@ def first_epoch(room, seed):
     measured = room.measure(seed, 1)
     config = config_for(measured)
     state = start(measured.walls, measured.anchors, measured.carrier_hz, config).but(epoch=0)
-    phase = phase_of(0, False, config.phases, config.reduction, config.lifecycle, config.anchors)
+    phase = phase_of(0, False, config.phases, config.reduction, config.lifecycle)
     return state, stack_paths(measured.epochs[0], state.carrier_hz, state.bearing_rad), config, phase
 
 

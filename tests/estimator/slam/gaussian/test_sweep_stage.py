@@ -29,7 +29,7 @@ def after(place):
     """The state after a sweep taken at a place, of an agent that stood at RP a moment ago."""
     state = start(sweep_at([0.0, 0.0]), ("a",), 28e9, CONFIG).but(epoch=1, swept_epoch=0)
     epoch = Epoch(1, 1.0, (AnchorPaths.none(),), sweep_at(place))
-    phase = phase_of(1, False, CONFIG.phases, CONFIG.reduction, CONFIG.lifecycle, CONFIG.search)
+    phase = phase_of(1, False, CONFIG.phases, CONFIG.reduction, CONFIG.lifecycle)
     state = follow_sweep(state, epoch, stack_paths(epoch, 28e9, state.bearing_rad), CONFIG, phase)
     return state, state.hypotheses.mean[:, :2] @ rotation_matrix(state.bearing_rad).T
 
