@@ -9,6 +9,7 @@ the error with a stated risk, the chance of being wrong included.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -126,7 +127,7 @@ class Indicators(NamedTuple):
 def possible_evidence(paths: EpochPaths, located: NDArray[np.bool_], clutter: Array) -> float:
     """Log evidence of the paths of located anchors, over clutter, were all explained and known beforehand."""
     valid = paths.valid & located[:, None]
-    ratio = np.sqrt(2.0 * np.pi * np.e) * paths.std_m * clutter[:, None]
+    ratio = math.sqrt(2.0 * math.pi * math.e) * paths.std_m * clutter[:, None]
     return float(-np.log(ratio[valid]).sum())
 
 
