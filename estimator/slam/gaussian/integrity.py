@@ -33,6 +33,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 _LEAST_STD_M = 1e-3  # numerical floor
+_LEAST_DOUBT = 1e-6  # rounding, in log odds: just doubtful
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,8 @@ class Indicators(NamedTuple):
         Share of unexplained paths at the latest epoch that had any of located anchors.
     untold : float
         Epochs since a sweep or odometry told how the agent moves.
+    astray : float
+        1 where the run was lost and nothing but paths has told of it since, else 0.
     """
 
     paths: float
@@ -122,6 +125,7 @@ class Indicators(NamedTuple):
     jump_m: float
     latest: float
     untold: float
+    astray: float
 
 
 def possible_evidence(paths: EpochPaths, located: NDArray[np.bool_], clutter: Array) -> float:
@@ -135,7 +139,7 @@ def no_indicators(model: IntegrityModel) -> Indicators:
     """Those of a run that has not begun: it stands where it starts."""
     usual = model.odds_unexplained * model.usual_unexplained + model.odds_shortfall * model.usual_shortfall
     odds = model.odds_offset + usual + model.odds_std * float(np.log(model.model_std_m))
-    return Indicators(0.0, 0.0, 0.0, odds, 0.0, 0.0, 0.0)
+    return Indicators(0.0, 0.0, 0.0, odds, 0.0, 0.0, 0.0, 0.0)
 
 
 def with_epoch(
@@ -182,8 +186,12 @@ def with_epoch(
     odds = (1.0 - weight) * now.log_odds + weight * odds
     if jump_m > 0.0:
         odds = max(odds, _log_odds(model.lost_probability) + 1.0)
+    alone_told = untold > model.untold_epochs
+    astray = float(alone_told and (now.astray > 0.0 or odds > _log_odds(model.lost_probability)))
+    if astray:  # walls born since explain the paths of wherever the run thinks to be
+        odds = max(odds, _log_odds(model.doubtful_probability) + _LEAST_DOUBT)
     latest = unexplained / paths if paths >= 1.0 else now.latest
-    after = Indicators(heard, lacking, short, odds, jump_m or now.jump_m, latest, float(untold))
+    after = Indicators(heard, lacking, short, odds, jump_m or now.jump_m, latest, float(untold), astray)
     return after if is_doubtful(after, model) else after._replace(jump_m=0.0)
 
 
@@ -228,4 +236,6 @@ def judged(now: Indicators, covariance_m2: Array, model: IntegrityModel) -> Inte
             reasons.append(f"the position jumped by {now.jump_m:.2g} m")
         if now.untold > model.untold_epochs:
             reasons.append("neither sweep nor odometry tells the way")
+        if now.astray > 0.0:
+            reasons.append("it was lost, and only paths have told since")
     return Integrity(state, 1.0 - wrong, level, tuple(reasons))

@@ -16,7 +16,7 @@ ALLOWED = {
     "models/directions.py": {"_ANY_HEADING_RAD2"},
     "gaussian/sweep_update.py": {"_ANY_HEADING_RAD2", "_QUARTER"},
     # numerical floors
-    "gaussian/integrity.py": {"_LEAST_STD_M"},
+    "gaussian/integrity.py": {"_LEAST_STD_M", "_LEAST_DOUBT"},
     "gaussian/relocation.py": {"_LEAST_M"},
     "gaussian/anchor_survey.py": {"_KNOWN_M2"},
     "gaussian/recalled_track.py": {"_ROUNDING_M2"},

@@ -111,3 +111,18 @@ def test_evidence_falls_short_by_what_is_not_known_of_paths():
     noise = std[0] * rng.normal(size=(4000, 2))
     density = np.exp(-0.5 * (noise / std[0]) ** 2) / (np.sqrt(2.0 * np.pi) * std[0] * clutter[0])
     assert most == pytest.approx(np.log(density).sum(axis=1).mean(), abs=4.0 / np.sqrt(4000))
+
+
+def test_a_run_that_was_lost_stays_doubtful_until_something_but_paths_tells():
+    """Walls born since explain what is heard wherever the run thinks to be; a sweep clears it."""
+    untold = MODEL.untold_epochs + 1
+    now = after(40, 10.0, 10.0, 60.0, 3.0, untold)
+    assert integrity.judged(now, 4.5 * np.eye(2), MODEL).state == "lost"
+    for _ in range(60):
+        now = integrity.with_epoch(now, 10.0, 0.5, 14.0, 0.02, 0.0, untold, MODEL)
+    told = integrity.judged(now, 0.01**2 * np.eye(2), MODEL)
+    assert told.state == "doubtful"
+    assert "it was lost, and only paths have told since" in told.reasons
+    for _ in range(10):
+        now = integrity.with_epoch(now, 10.0, 0.5, 14.0, 0.02, 0.0, 0, MODEL)
+    assert integrity.judged(now, 0.01**2 * np.eye(2), MODEL).state == "ok"
