@@ -97,15 +97,21 @@ class EchoModel:
         """Data (beams, tones) without what the blind range may hold."""
         return np.asarray(data - (data @ self._blind.conj()) @ self._blind.T)
 
+    def factors(self, fit: EchoFit) -> tuple[Complex, Complex]:
+        """Patterns (beams, K) and blanked tones (K, tones), whose product is what the returns send."""
+        tones = self._correlator.synthesise(fit.turns[:, None], fit.gain[:, None])
+        return self._two_way(fit.azimuth).T, self.blank(tones)
+
     def synthesise(self, fit: EchoFit) -> Complex:
         """Noiseless, blanked responses of the returns, (beams, tones)."""
-        tones = self._correlator.synthesise(fit.turns[:, None], fit.gain[:, None])
-        return self.blank(self._two_way(fit.azimuth).T @ tones)
+        patterns, tones = self.factors(fit)
+        return np.asarray(patterns @ tones)
 
     def beam_response(self, azimuth: Real) -> tuple[Complex, Complex]:
         """Two-way response of the beams, weighted, and its derivative, each (K, beams)."""
-        ahead, behind = (self._two_way(azimuth + step) for step in (_AZIMUTH_STEP_RAD, -_AZIMUTH_STEP_RAD))
-        return self._two_way(azimuth), (ahead - behind) / (2.0 * _AZIMUTH_STEP_RAD)
+        steps = _AZIMUTH_STEP_RAD * np.array([0.0, 1.0, -1.0])
+        here, ahead, behind = self._two_way(azimuth + steps[:, None])
+        return here, (ahead - behind) / (2.0 * _AZIMUTH_STEP_RAD)
 
     def _two_way(self, azimuth: Real) -> Complex:
         return self.beams.two_way(azimuth) * self._weights
@@ -125,12 +131,11 @@ class EchoModel:
         """
         beam, beam_slope = self.beam_response(azimuth)
         tones, tones_slope, tones_curved = self._tone_products(turns)
-        own = turns[:, None]
-        z, z_turns = (
-            part[:, 0]
-            for part in self._correlator.correlate(self._correlator.split(beam.conj() @ data), own)[:2]
+        heard = (np.concatenate([beam, beam_slope]).conj() @ data).reshape(2, len(turns), -1).swapaxes(0, 1)
+        (z, z_azimuth), (z_turns, _), _ = (
+            part[:, :, 0].T
+            for part in self._correlator.correlate(self._correlator.split(heard), turns[:, None])
         )
-        z_azimuth = self._correlator.correlate(self._correlator.split(beam_slope.conj() @ data), own)[0][:, 0]
         flat, mixed, curved = (
             a.conj() @ b.T for a, b in ((beam, beam), (beam, beam_slope), (beam_slope,) * 2)
         )

@@ -42,7 +42,7 @@ from estimator.arrays import BeamSet
 from estimator.errors import ConfigurationError
 from estimator.geometry import mirror
 from estimator.measurements import GaussianVrp
-from estimator.sensing.returns import EchoPursuit, PursuitConfig, ReturnSet
+from estimator.sensing.returns import PursuitConfig, ReturnSet, echo_pursuit
 from estimator.waveform import OfdmGrid
 
 __all__ = ["Flash", "FlashConfig", "Verdict", "find_flashes", "flash_walls"]
@@ -195,7 +195,7 @@ def find_flashes(
         If the echo does not fit grid and beams, or is not finite.
     """
     settings = FlashConfig() if config is None else config
-    pursuit = EchoPursuit(grid, beams, settings.pursuit)
+    pursuit = echo_pursuit(grid, beams, settings.pursuit)
     flashes: list[Flash] = []
     for candidate in _candidates(pursuit.find(echo, noise_variance), settings, pursuit.range_cell_m):
         walls = [flash for flash in flashes if flash.verdict is Verdict.WALL]

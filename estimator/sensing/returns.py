@@ -9,6 +9,7 @@ range, ``lambda / (4 pi 2 r)``; the ratio is the return's *reflectivity*.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import scipy.fft
@@ -20,13 +21,14 @@ from estimator.errors import ConfigurationError, InputError
 from estimator.sensing.echo_model import EchoFit, EchoModel
 from estimator.waveform import OfdmGrid
 
-__all__ = ["EchoPursuit", "PursuitConfig", "ReturnSet"]
+__all__ = ["EchoPursuit", "PursuitConfig", "ReturnSet", "echo_pursuit"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _AZIMUTHS_PER_BEAM = 4
 _RICHEST_DELAYS = 64  # searched first: where a return is strong, all others have less energy than it
+_RESOLVED = 1e-12  # of the power of a sweep: what single precision still tells apart, 120 dB
 _STEP_LIMIT_CELLS = 0.25
 _CONVERGED_CELLS = 1e-4
 _RAISED = 1.5  # a beam's noise counts as raised above this multiple of the noise stated: four deviations
@@ -142,6 +144,7 @@ class EchoPursuit:
         count = _AZIMUTHS_PER_BEAM * beams.beams
         self._azimuths = 2.0 * np.pi * np.arange(count) / count - np.pi
         response, slope = self._model.beam_response(self._azimuths)
+        self._responses = response
         norm = np.linalg.norm(response, axis=1)
         patterns = response / norm[:, None]
         along = np.sum(patterns.conj() * slope, axis=1, keepdims=True) * patterns
@@ -193,21 +196,33 @@ class EchoPursuit:
         data = self._model.blank(data)
         weights = self._whitening(data, noise_variance)
         data, model = weights[:, None] * data, self._model.weighted(weights)
-        least = self.threshold * self.grid.tones * noise_variance
-        search = _Search(model.beam_response(self._azimuths)[0], self._least, least)
+        unit = float(np.sqrt(max(noise_variance, _RESOLVED * float(np.vdot(data, data).real) / data.size)))
+        least_power = self.threshold * self.grid.tones * noise_variance / unit**2
+        search = _Search(self._responses * weights, self._least / unit, least_power)
         fit = EchoFit.empty()
-        residual = data
+        left = received = self._spectrum(data / unit)
         for _ in range(self.config.max_returns):
-            peak = self._detect(search, residual, fit)
+            peak = self._detect(search, left, fit)
             if peak is None:
                 break
             start = np.append(fit.turns, peak[0]), np.append(fit.azimuth, peak[1])
             fit = self._polish(model, data, model.project(data, *start), self.config.steps)
-            residual = data - model.synthesise(fit)
+            patterns, tones = model.factors(fit)
+            left = received - patterns.astype(np.complex64) @ self._spectrum(tones / unit)
+        residual = data
         if len(fit.turns):
             fit = self._polish(model, data, fit, self.config.final_steps)
             residual = data - model.synthesise(fit)
-        return self._returns(fit, max(noise_variance, float(np.mean(np.abs(residual) ** 2))))
+        return self._returns(
+            fit, max(noise_variance, float(np.vdot(residual, residual).real) / residual.size)
+        )
+
+    def _spectrum(self, data: Complex) -> NDArray[np.complex64]:
+        """Data (n, tones) over the delays searched, in single precision: it chooses what is then refined."""
+        spectrum = scipy.fft.ifft(
+            data.astype(np.complex64), self._bins, axis=1, norm="forward", overwrite_x=True
+        )
+        return np.asarray(spectrum[:, self._window])
 
     def _whitening(self, data: Complex, noise_variance: float) -> Real:
         """Weights of the beams that make the noise of all as stated: phase noise of the leakage raises it.
@@ -221,18 +236,22 @@ class EchoPursuit:
         raised = np.where(floor > _RAISED * noise_variance, floor, noise_variance)
         return np.asarray(np.sqrt(noise_variance / raised))
 
-    def _detect(self, search: _Search, residual: Complex, fit: EchoFit) -> tuple[float, float] | None:
-        """Delay and azimuth of the strongest plausible return away from those found, or None."""
-        spectrum = scipy.fft.ifft(residual, self._bins, axis=1, norm="forward")
-        window = spectrum[:, self._window]
-        energy = np.sum(window.real**2 + window.imag**2, axis=0)
+    def _detect(
+        self, search: _Search, window: NDArray[np.complex64], fit: EchoFit
+    ) -> tuple[float, float] | None:
+        """Delay and azimuth of the strongest plausible return away from those found, or None.
+
+        ``window`` is the spectrum of what no return found explains, (beams, delays).
+        """
+        energy = _power(window).sum(axis=0)
         # No azimuth has more than a delay's energy: the richest delays first, then those that may still win.
+        enough = energy >= search.least_energy
         first = np.zeros(len(energy), dtype=bool)
         first[np.argsort(-energy, kind="stable")[:_RICHEST_DELAYS]] = True
         best = 0.0
         place: tuple[float, float] | None = None
         for chosen in (first, ~first):
-            delays = np.flatnonzero(chosen & (energy > best))
+            delays = np.flatnonzero(chosen & enough & (energy > best))
             power = search.power(window, delays)
             for turns, azimuth in zip(fit.turns, fit.azimuth, strict=True):
                 near = np.abs(self._delays[delays] - turns) * self.grid.tones < 1.0
@@ -294,17 +313,32 @@ class _Search:
 
     def __init__(self, response: Complex, least_gain: Real, least_power: float) -> None:
         norm = np.linalg.norm(response, axis=1)
-        self._matched = (response / norm[:, None]).conj()
+        self._matched = (response / norm[:, None]).conj().astype(np.complex64)
         # Least |z|^2 of a plausible return: its gain is at least the mirror's times the reflectivity.
-        self._least = np.maximum((norm[:, None] * least_gain) ** 2, least_power)
+        self._squared_norm = np.square(norm / norm.max()).astype(np.float32)
+        self._squared_gain = np.square(norm.max() * least_gain).astype(np.float32)
+        self._least_power = np.float32(least_power)
+        self.least_energy = np.maximum(self._squared_norm.min() * self._squared_gain, self._least_power)
 
-    def power(self, spectrum: Complex, delays: NDArray[np.intp]) -> Real:
+    def power(self, spectrum: NDArray[np.complex64], delays: NDArray[np.intp]) -> NDArray[np.float32]:
         """``|z|^2`` of each azimuth and the delays given, shape (azimuths, n); 0 if no return's."""
-        matched = self._matched @ spectrum[:, delays]
-        power = matched.real**2
-        power += matched.imag**2
-        power *= power >= self._least[:, delays]
-        return np.asarray(power)
+        power = _power(self._matched @ spectrum[:, delays])
+        power *= power >= self._least_power
+        power *= power >= self._squared_norm[:, None] * self._squared_gain[delays]
+        return power
+
+
+@lru_cache(maxsize=8)
+def echo_pursuit(grid: OfdmGrid, beams: BeamSet, config: PursuitConfig) -> EchoPursuit:
+    """The pursuit of this grid, beams and settings, prepared once for all sweeps of a run."""
+    return EchoPursuit(grid, beams, config)
+
+
+def _power(value: NDArray[np.complex64]) -> NDArray[np.float32]:
+    """Squared magnitudes."""
+    power = np.square(value.real)
+    power += np.square(value.imag)
+    return power
 
 
 def _wrap(angle_rad: Real) -> Real:

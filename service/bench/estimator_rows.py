@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
-from estimator.arrays import BeamSet
+from estimator.arrays import BeamSet, UniformLinearArray
 from estimator.channel.model import delay_atoms
 from estimator.channel.nomp import NompPlan
 from estimator.sensing.flash import find_flashes
@@ -19,8 +20,8 @@ from service.bench.slam_rows import growth_rows, request_rows, step_rows
 
 __all__ = ["rows"]
 
-_BATCH, _PATHS, _FITS = 64, 15, 1000
-_NOMP_BAR_MS = 4.0
+_BATCH, _ARRAY_BATCH, _ELEMENTS, _PATHS, _FITS = 64, 8, 16, 15, 1000
+_NOMP_BAR_MS, _ARRAY_BAR_MS, _SWEEP_BAR_MS = 2.0, 15.0, 20.0
 _GRID = OfdmGrid(28e9, 120e3, 3276, comb=4, symbols=14)
 
 
@@ -39,23 +40,46 @@ def rows(quick: bool) -> Iterator[Row]:
             yield from request_rows()
         repeats = 1 if quick else 7
         yield _nomp(repeats)
+        yield _nomp_array(repeats)
         yield _flash(repeats)
         yield _line_fit(repeats)
 
 
 def _nomp(repeats: int) -> Row:
     """Delays of channels with 15 paths over 28 dB, in a batch."""
-    rng = np.random.default_rng(1)
-    shape = (_BATCH, _PATHS)
-    cells = np.sort(rng.uniform(10.0, 200.0, shape), axis=1) + 1.5 * np.arange(_PATHS)
-    amplitude = rng.permuted(np.tile(10.0 ** (-0.1 * np.arange(_PATHS)), (_BATCH, 1)), axis=1)
-    gain = amplitude * np.exp(2j * np.pi * rng.uniform(size=shape))
-    cfr = np.einsum("ck,ckn->cn", gain, delay_atoms(_GRID, cells * _GRID.resolution_s))
-    cfr += np.sqrt(0.5e-4) * (rng.normal(size=cfr.shape) + 1j * rng.normal(size=cfr.shape))
+    cfr = _channels(_BATCH, None)
     plan = NompPlan(_GRID)
     taken = cpu_s(lambda: plan.estimate(cfr, 1e-4), repeats)
     name = f"NOMP, {_GRID.tones} tones, {_PATHS} paths, batches of {_BATCH}: channel"
     return Row(name, 1e3 * taken / _BATCH, "ms", _NOMP_BAR_MS)
+
+
+def _nomp_array(repeats: int) -> Row:
+    """Delays and azimuths of the same paths at a linear array, in a batch."""
+    array = UniformLinearArray(_ELEMENTS)
+    cfr = _channels(_ARRAY_BATCH, array)
+    plan = NompPlan(_GRID, array=array)
+    taken = cpu_s(lambda: plan.estimate(cfr, 1e-4), repeats)
+    name = (
+        f"NOMP, {_GRID.tones} tones, {_ELEMENTS} antennas, {_PATHS} paths, batches of {_ARRAY_BATCH}: channel"
+    )
+    return Row(name, 1e3 * taken / _ARRAY_BATCH, "ms", _ARRAY_BAR_MS)
+
+
+def _channels(count: int, array: UniformLinearArray | None) -> NDArray[np.complex128]:
+    """Channels of 15 paths over 28 dB, at an array from directions all in front, with their noise."""
+    rng = np.random.default_rng(1)
+    shape = (count, _PATHS)
+    cells = np.sort(rng.uniform(10.0, 200.0, shape), axis=1) + 1.5 * np.arange(_PATHS)
+    amplitude = rng.permuted(np.tile(10.0 ** (-0.1 * np.arange(_PATHS)), (count, 1)), axis=1)
+    gain = amplitude * np.exp(2j * np.pi * rng.uniform(size=shape))
+    atoms = delay_atoms(_GRID, cells * _GRID.resolution_s)
+    if array is None:
+        cfr = np.einsum("ck,ckn->cn", gain, atoms)
+    else:
+        steering = array.steering(rng.uniform(-1.2, 1.2, shape))
+        cfr = np.einsum("ck,cka,ckn->can", gain, steering, atoms, optimize=True)
+    return cfr + np.sqrt(0.5e-4) * (rng.normal(size=cfr.shape) + 1j * rng.normal(size=cfr.shape))
 
 
 def _flash(repeats: int) -> Row:
@@ -68,7 +92,7 @@ def _flash(repeats: int) -> Row:
     echo = sweep_response(_GRID, beams, azimuth, distance, amplitude)
     echo = echo + np.sqrt(0.5 * noise) * (rng.normal(size=echo.shape) + 1j * rng.normal(size=echo.shape))
     taken = cpu_s(lambda: find_flashes(echo, noise, _GRID, beams), repeats)
-    return Row(f"flashes, 64 beams, {_GRID.tones} tones, 4 walls: sweep", 1e3 * taken, "ms")
+    return Row(f"flashes, 64 beams, {_GRID.tones} tones, 4 walls: sweep", 1e3 * taken, "ms", _SWEEP_BAR_MS)
 
 
 def _line_fit(repeats: int) -> Row:

@@ -180,3 +180,15 @@ def test_the_strongest_return_is_found_whichever_delays_are_searched_first(
     )
     assert found.range_m == pytest.approx([30.0], abs=0.1)
     assert found.azimuth_rad == pytest.approx([np.pi / 2.0], abs=0.02)
+
+
+@pytest.mark.filterwarnings("error")
+def test_noise_far_below_single_precision_is_no_harm() -> None:
+    """The search in single precision neither overflows nor loses a return if hardly any noise is claimed."""
+    gain = mirror_gain(5.0)
+    for variance in (1e-30, 1e-60):
+        found = EchoPursuit(GRID, BEAMS, PursuitConfig(max_returns=1)).find(
+            echo_of([5.0], [0.4], [gain]), variance
+        )
+        assert found.range_m[0] == pytest.approx(5.0, abs=1e-6)
+        assert found.azimuth_rad[0] == pytest.approx(0.4, abs=1e-6)
