@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Dataset",
     "DatasetWriter",
+    "digest_of",
     "open_dataset",
     "publish",
     "read_manifest",
@@ -41,6 +42,7 @@ __all__ = [
     "remove_temporaries",
     "require_absent",
     "temporary_name",
+    "write_bytes",
     "write_netcdf",
     "write_shard",
     "write_text",
@@ -92,9 +94,14 @@ def remove_temporaries(folder: Path) -> None:
 
 def write_text(text: str, path: Path) -> None:
     """Write a small text file atomically, replacing what was there."""
+    write_bytes(text.encode(), path)
+
+
+def write_bytes(contents: bytes, path: Path) -> None:
+    """Write a small file atomically, replacing what was there."""
     temporary = temporary_name(path)
     try:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(contents)
         publish(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -162,7 +169,8 @@ def read_netcdf(path: Path, format_name: str, version: int) -> xr.Dataset:
     return loaded
 
 
-def _digest(path: Path) -> str:
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -195,7 +203,7 @@ def write_shard(
     file = folder / name
     data = data.assign_attrs(Conventions=_CF, format=f"{FORMAT}/{kind}", version=VERSION)
     write_netcdf(data, file, replace)
-    return {"file": name, "kind": kind, "bytes": file.stat().st_size, "sha256": _digest(file), **facts}
+    return {"file": name, "kind": kind, "bytes": file.stat().st_size, "sha256": digest_of(file), **facts}
 
 
 class DatasetWriter:
@@ -279,19 +287,18 @@ class Dataset:
     path: Path
     manifest: Mapping[str, Any]
 
-    def shards(self, kind: str) -> Iterator[xr.Dataset]:
-        """Read the shards of one kind in order, each whole.
+    def shards(self, kind: str, skipped: int = 0) -> Iterator[xr.Dataset]:
+        """Read the shards of one kind in order, each whole; the first few may be ``skipped``.
 
         Raises
         ------
         FileFormatError
             If a shard is missing, or its size or hash differs from the manifest's.
         """
-        for entry in self.manifest["shards"]:
-            if entry["kind"] != kind:
-                continue
+        entries = [entry for entry in self.manifest["shards"] if entry["kind"] == kind]
+        for entry in entries[skipped:]:
             file = self.file(entry)
-            digest = _digest(file)
+            digest = digest_of(file)
             if digest != entry["sha256"]:
                 raise FileFormatError(
                     f"{file}: expected SHA-256 {entry['sha256'][:12]}..., got {digest[:12]}...; "

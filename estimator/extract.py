@@ -23,8 +23,10 @@ from estimator.arrays import AntennaArray, BeamSet, UniformLinearArray, UniformP
 from estimator.channel.nomp import DelayEstimate, NompConfig, NompPlan
 from estimator.dataset import Dataset
 from estimator.errors import ConfigurationError, FileFormatError
+from estimator.measurement_files import load_measurements, save_measurements
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.odometry import odometry_of
+from estimator.parts import Parts
 from estimator.sensing.beam_ranges import walls_of_beams
 from estimator.sensing.flash import FlashConfig, find_flashes, flash_walls
 from estimator.threads import one_blas_thread
@@ -65,7 +67,10 @@ class ExtractConfig:
 
 
 def extract(
-    dataset: Dataset, config: ExtractConfig | None = None, progress: Progress | None = None
+    dataset: Dataset,
+    config: ExtractConfig | None = None,
+    progress: Progress | None = None,
+    parts: Parts | None = None,
 ) -> MeasurementSet:
     """Estimate all delays and sense the walls in all sweeps.
 
@@ -77,6 +82,8 @@ def extract(
         Settings; they are recorded in the result.
     progress : callable, optional
         See :data:`Progress`.
+    parts : Parts, optional
+        Where what is done is kept, and what is done already.
 
     Returns
     -------
@@ -92,8 +99,8 @@ def extract(
     """
     settings = ExtractConfig() if config is None else config
     radio = _section(dataset.manifest, "radio")
-    sweeps = sense_sweeps(dataset, settings.flash, progress)
-    epochs = extract_epochs(dataset, settings.nomp, settings.batch, progress)
+    sweeps = sense_sweeps(dataset, settings.flash, progress, parts)
+    epochs = extract_epochs(dataset, settings.nomp, settings.batch, progress, parts)
     strayed = sweeps.keys() - {epoch.index for epoch in epochs}
     if strayed:
         raise FileFormatError(
@@ -123,7 +130,11 @@ def extract(
 
 @one_blas_thread()
 def extract_epochs(
-    dataset: Dataset, config: NompConfig | None = None, batch: int = 64, progress: Progress | None = None
+    dataset: Dataset,
+    config: NompConfig | None = None,
+    batch: int = 64,
+    progress: Progress | None = None,
+    parts: Parts | None = None,
 ) -> tuple[Epoch, ...]:
     """Delays of all anchors in all epochs, and directions of arrival where the agent's array tells them.
 
@@ -139,8 +150,9 @@ def extract_epochs(
     noise_variance = float(_entry(radio, "noise_variance", "radio"))
     anchors = len(_entry(dataset.manifest, "anchors", "manifest"))
     total = int(_entry(dataset.manifest, "epochs", "manifest")) * anchors
-    epochs: list[Epoch] = []
-    for shard in dataset.shards("passive"):
+    kept = _Kept(dataset, "passive", parts)
+    epochs = kept.epochs
+    for shard in dataset.shards("passive", kept.shards):
         cfr = _channels(shard, plan.grid, antennas)
         if (cfr.shape[1], *cfr.shape[3:]) != (anchors, antennas, plan.grid.tones):
             raise FileFormatError(
@@ -156,6 +168,7 @@ def extract_epochs(
             if progress is not None:
                 progress(len(epochs) * anchors + len(estimates), total, "estimating delays")
         epochs += _epochs(shard, [paths_of(found, array) for found in estimates], anchors, heading_held)
+        kept.shard_done()
     if not epochs:
         raise FileFormatError(f"{dataset.path}: expected passive channels, the manifest lists none")
     return tuple(epochs)
@@ -181,15 +194,19 @@ def _channels(shard: xr.Dataset, grid: OfdmGrid, antennas: int) -> Complex:
 
 @one_blas_thread()
 def sense_sweeps(
-    dataset: Dataset, config: FlashConfig | None = None, progress: Progress | None = None
+    dataset: Dataset,
+    config: FlashConfig | None = None,
+    progress: Progress | None = None,
+    parts: Parts | None = None,
 ) -> dict[int, tuple[GaussianVrp, ...]]:
     """Walls that each beam sweep saw, by its epoch: relative to the agent there, in its axes.
 
     Parameters and errors are those of :func:`extract`; a dataset without echoes has no sweeps.
     """
-    sweeps: dict[int, tuple[GaussianVrp, ...]] = {}
+    kept = _Kept(dataset, "echo", parts)
+    silent = tuple(AnchorPaths.none() for _ in _entry(dataset.manifest, "anchors", "manifest"))
     files = sum(1 for entry in dataset.manifest.get("shards", ()) if entry.get("kind") == "echo")
-    for done, shard in enumerate(dataset.shards("echo")):
+    for shard in dataset.shards("echo", kept.shards):
         section = _section(dataset.manifest, "echo")
         grid, beams = _grid(section, "echo"), _beams(section)
         noise_variance = float(_entry(section, "noise_variance", "echo"))
@@ -204,10 +221,33 @@ def sense_sweeps(
                 walls = walls_of_beams(echo, noise_variance, grid, beams)
             else:
                 walls = flash_walls(find_flashes(echo, noise_variance, grid, beams, config))
-            sweeps[int(epoch)] = walls
+            kept.epochs.append(Epoch(int(epoch), float(epoch), silent, walls))
+        kept.shard_done()
         if progress is not None:
-            progress(done + 1, files, "sensing walls")
-    return sweeps
+            progress(kept.shards, files, "sensing walls")
+    return {epoch.index: epoch.sweep for epoch in kept.epochs}
+
+
+class _Kept:
+    """Epochs of the shards done, of this run and of those before it."""
+
+    def __init__(self, dataset: Dataset, kind: str, parts: Parts | None) -> None:
+        self.epochs: list[Epoch] = []
+        self.shards = 0
+        self._manifest, self._kind, self._parts = dataset.manifest, kind, parts
+        for part in [] if parts is None else parts.of(kind):
+            self.epochs += load_measurements(part.path).epochs
+            self.shards = part.done
+        self._written = len(self.epochs)
+
+    def shard_done(self) -> None:
+        """Count a shard whose epochs have been added, and keep what is new if it is time."""
+        self.shards += 1
+        if self._parts is not None and self._parts.due:
+            anchors = tuple(str(name) for name in self._manifest["anchors"])
+            new = MeasurementSet(anchors, (), tuple(self.epochs[self._written :]), 1.0)
+            self._parts.keep(self._kind, self.shards, lambda path: save_measurements(new, path))
+            self._written = len(self.epochs)
 
 
 def paths_of(estimate: DelayEstimate, array: AntennaArray | None = None) -> AnchorPaths:

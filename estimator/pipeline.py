@@ -13,17 +13,18 @@ import os
 import platform
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimator.dataset import open_dataset, require_absent, write_text
+from estimator.dataset import MANIFEST, digest_of, open_dataset, write_text
 from estimator.errors import FileFormatError, InputError
 from estimator.json_objects import json_object
 from estimator.measurement_files import load_measurements, save_measurements
+from estimator.parts import Parts
 from estimator.result import SlamResult, load_result, save_result
 
 if TYPE_CHECKING:
@@ -47,7 +48,9 @@ Progress = Callable[..., None]
 _PACKAGES = ("hapslam", "numpy", "scipy", "xarray", "h5netcdf")
 
 
-def extract_file(dataset: Path, out: Path, progress: Progress | None = None) -> None:
+def extract_file(
+    dataset: Path, out: Path, progress: Progress | None = None, resume: bool = False, period_s: float = 30.0
+) -> None:
     """Estimate delays and walls from a dataset; write a measurement file.
 
     Parameters
@@ -58,19 +61,28 @@ def extract_file(dataset: Path, out: Path, progress: Progress | None = None) -> 
         Measurement file to write.
     progress : callable, optional
         Called with (done, total) and what else the stage has to say.
+    resume : bool
+        Go on with what an interrupted run left beside ``out``; begin if there is nothing.
+    period_s : float
+        What is done is kept as often, seconds.
 
     Raises
     ------
     OutputExistsError
-        If ``out`` exists; nothing is done then.
+        If ``out`` exists, or an interrupted run left parts that are not to be taken up; nothing is done then.
     FileFormatError
-        If the dataset is missing, incomplete or damaged.
+        If the dataset is missing, incomplete or damaged, or the parts are of other work.
     """
-    from estimator.extract import extract
+    from estimator.extract import ExtractConfig, extract
 
-    require_absent(out)
-    measurements = extract(open_dataset(dataset), progress=progress)
+    opened, config = open_dataset(dataset), ExtractConfig()
+    work = {"dataset": digest_of(opened.path / MANIFEST), "extract": asdict(config)}
+    parts = Parts(out, work, resume, period_s)
+    if parts.finished(out):
+        return
+    measurements = extract(opened, config, progress, parts)
     save_measurements(replace(measurements, dataset=_relative(dataset, out)), out)
+    parts.remove()
 
 
 def slam_file(
@@ -83,6 +95,8 @@ def slam_file(
     command: str | None = None,
     smooth: bool = False,
     known_walls: Callable[[MeasurementSet], Sequence[GaussianVrp]] | None = None,
+    resume: bool = False,
+    period_s: float = 30.0,
 ) -> None:
     """Run SLAM on a measurement file; write a result file and its sidecar.
 
@@ -102,39 +116,57 @@ def slam_file(
         Write the whole run smoothed (:func:`estimator.slam.smoothing.refine.refine`), with its joint map.
     known_walls : callable, optional
         Walls known from a floor plan, of the measurements.
+    resume, period_s
+        As for :func:`extract_file`.
 
     Raises
     ------
     OutputExistsError
-        If ``out`` exists; nothing is done then.
+        If ``out`` exists, or an interrupted run left parts that are not to be taken up; nothing is done then.
     FileFormatError, InputError, ConfigurationError
-        If the measurements cannot be read or used, or the method or engine is unknown.
+        If the measurements cannot be read or used, the method or engine is unknown, or the parts are of
+        other work.
     """
     from estimator.slam import run_slam
 
-    require_absent(out)
     loaded = load_measurements(measurements)
     begin = time.perf_counter()
     walls = None if known_walls is None else known_walls(loaded)
-    result = run_slam(loaded, method=method, engine=engine, seed=seed, progress=progress, walls=walls)
+    work = {
+        "measurements": digest_of(measurements),
+        "slam": [method, engine, seed],
+        "walls": None if walls is None else [[w.mean_m.tolist(), w.covariance_m2.tolist()] for w in walls],
+    }
+    parts = Parts(out, work, resume, period_s)
+    if parts.finished(out):
+        return
+    there = max((part.done for part in parts.of("slam")), default=0)
+    result = run_slam(
+        loaded, method=method, engine=engine, seed=seed, progress=progress, walls=walls, parts=parts
+    )
     seconds = time.perf_counter() - begin
     if smooth:
         from estimator.slam.smoothing.refine import refine
 
         result = refine(loaded if walls is None else replace(loaded, walls=tuple(walls)), result)
     source = None if loaded.dataset is None else _relative(measurements.parent / loaded.dataset, out)
-    save_result(replace(result, dataset=source), out)
     record = {
         "command": command,
         "seconds": {"slam": seconds},
-        "seconds_per_epoch": seconds / max(len(result.epoch), 1),
+        "seconds_per_epoch": seconds / max(len(result.epoch) - there, 1),
         "versions": {"python": platform.python_version(), **_versions()},
         "method": method,
         "engine": engine,
         "seed": seed,
         "settings": dict(result.settings),
     }
-    write_text(json.dumps(record, indent=2) + "\n", _sidecar(out))
+    write_text(json.dumps(record, indent=2) + "\n", _sidecar(out))  # first: who finds the result finds it too
+    try:
+        save_result(replace(result, dataset=source), out)
+    except BaseException:
+        _sidecar(out).unlink()
+        raise
+    parts.remove()
 
 
 def evaluate_file(

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from estimator.errors import ConfigurationError
+from estimator.joined_results import join_results
 from estimator.measurements import GaussianVrp, MeasurementSet
-from estimator.result import SlamResult
+from estimator.parts import Parts
+from estimator.result import SlamResult, load_result, save_result
 from estimator.slam import methods
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.engine import GaussianEngine
@@ -22,6 +25,8 @@ __all__ = ["ENGINES", "METHODS", "config_for", "engine_for", "run_slam"]
 
 METHODS = tuple(methods.METHODS)
 ENGINES = ("gaussian", "particle")
+_STRETCH = 1000  # epochs whose estimates are stacked together: arrays need less memory
+_PART = "slam"
 _STATES = {name: number for number, name in enumerate(INTEGRITY_STATES)}
 Config = GaussianConfig | ParticleConfig
 _CONFIGS: Mapping[str, type[Config]] = {"gaussian": GaussianConfig, "particle": ParticleConfig}
@@ -93,6 +98,7 @@ def run_slam(
     config: Config | None = None,
     progress: Callable[[int, int], None] | None = None,
     walls: Sequence[GaussianVrp] | None = None,
+    parts: Parts | None = None,
 ) -> SlamResult:
     """Run SLAM over all epochs.
 
@@ -114,6 +120,8 @@ def run_slam(
         Called with (epochs done, epochs in all).
     walls : sequence of GaussianVrp, optional
         Walls known from a floor plan (:func:`estimator.known_walls.known_walls`) instead of those sensed.
+    parts : Parts, optional
+        Where what is done is kept, and what is done already.
 
     Returns
     -------
@@ -129,16 +137,74 @@ def run_slam(
     """
     config = config_for(measurements, engine=engine) if config is None else config
     chosen = engine_for(method, engine, config)
-    state = chosen.start(Prior.of(measurements, walls), epoch_rng(seed, -1))
-    estimates: list[Estimate] = []
-    for done, epoch in enumerate(measurements.epochs):
+    settings = {"slam": config.flat(), "measurements": dict(measurements.settings)}
+    run = _Stretches(
+        measurements, parts, lambda part, found: collect(part, found, method, engine, seed, settings)
+    )
+    if run.saved is None:
+        state = chosen.start(Prior.of(measurements, walls), epoch_rng(seed, -1))
+    else:
+        state = chosen.load(run.saved)
+    for epoch in measurements.epochs[run.done :]:
         state = chosen.step(state, epoch, epoch_rng(seed, epoch.index))
-        estimates.append(chosen.estimate(state))
+        run.add(chosen.estimate(state))
+        if parts is not None and parts.due:
+            run.keep(parts, chosen.save(state))
         if progress is not None:
-            progress(done + 1, len(measurements.epochs))
-    slam = config.flat()
-    settings = {"slam": slam, "measurements": dict(measurements.settings)}
-    return collect(measurements, estimates, method, engine, seed, settings)
+            progress(run.done, len(measurements.epochs))
+    return run.result()
+
+
+class _Stretches:
+    """Estimates of a run, stacked stretch by stretch, with what runs before it kept.
+
+    Parameters
+    ----------
+    measurements : MeasurementSet
+        Of the whole run.
+    parts : Parts, optional
+        What runs before this one kept.
+    stacked : callable
+        Makes a result of measurements and their estimates.
+    """
+
+    def __init__(
+        self,
+        measurements: MeasurementSet,
+        parts: Parts | None,
+        stacked: Callable[[MeasurementSet, Sequence[Estimate]], SlamResult],
+    ) -> None:
+        kept = [] if parts is None else parts.of(_PART)
+        self.done = kept[-1].done if kept else 0
+        self.saved = parts.state(kept[-1]) if parts is not None and kept else None
+        self._measurements, self._stacked = measurements, stacked
+        self._kept, self._new = [load_result(part.path) for part in kept], list[SlamResult]()
+        self._estimates: list[Estimate] = []
+
+    def add(self, estimate: Estimate) -> None:
+        """The estimate of the next epoch."""
+        self._estimates.append(estimate)
+        self.done += 1
+        if len(self._estimates) == _STRETCH:
+            self._stack()
+
+    def keep(self, parts: Parts, state: bytes) -> None:
+        """Keep the epochs since the part before."""
+        self._stack()
+        part, self._new = join_results(self._new), []
+        parts.keep(_PART, self.done, lambda path: save_result(part, path), state)
+        self._kept.append(part)
+
+    def result(self) -> SlamResult:
+        """The result of all epochs."""
+        self._stack()
+        return join_results([*self._kept, *self._new])
+
+    def _stack(self) -> None:
+        epochs = self._measurements.epochs[self.done - len(self._estimates) : self.done]
+        if self._estimates or not self._measurements.epochs:
+            self._new.append(self._stacked(replace(self._measurements, epochs=epochs), self._estimates))
+        self._estimates = []
 
 
 def collect(

@@ -53,6 +53,9 @@ app = typer.Typer(
 _UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on with what an interrupted run left; begin if there is none.")
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of all randomness.")]
 Truth = Annotated[
     Path | None,
@@ -141,13 +144,14 @@ def extract(
             metavar="MEASUREMENTS", help="Measurement file to write (netCDF).", callback=made_parents
         ),
     ],
+    resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
     """Estimate delays from the channels and walls from the echoes."""
     from estimator.pipeline import extract_file
 
     with Reporter(quiet).stage("extract") as advance:
-        extract_file(dataset, out, advance)
+        extract_file(dataset, out, advance, resume)
 
 
 @app.command(
@@ -184,6 +188,7 @@ def slam(
     plan_std: Annotated[
         float | None, typer.Option(help="Standard deviation of the plan's walls, metres; 0.05 by default.")
     ] = None,
+    resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
     """Estimate agent, anchors and walls, epoch by epoch."""
@@ -198,7 +203,7 @@ def slam(
 
     known = None if floor_plan is None else walls
     with Reporter(quiet).stage("slam") as advance:
-        slam_file(measurements, out, method, engine, seed, advance, _command(), smooth, known)
+        slam_file(measurements, out, method, engine, seed, advance, _command(), smooth, known, resume)
 
 
 @app.command(epilog=_examples("evaluate room-result.nc", "evaluate room-result.nc --truth room --json"))
