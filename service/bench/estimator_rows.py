@@ -15,6 +15,7 @@ from estimator.sensing.linefit import fit_lines
 from estimator.sensing.ranges import sweep_response
 from estimator.threads import one_blas_thread
 from estimator.waveform import OfdmGrid
+from service.bench.floors import line_fits_s, spectrum_s
 from service.bench.rows import Row, cpu_s
 from service.bench.slam_rows import growth_rows, request_rows, step_rows
 
@@ -22,6 +23,7 @@ __all__ = ["rows"]
 
 _BATCH, _ARRAY_BATCH, _ELEMENTS, _PATHS, _FITS = 64, 8, 16, 15, 1000
 _NOMP_BAR_MS, _ARRAY_BAR_MS, _SWEEP_BAR_MS = 2.0, 15.0, 20.0
+_SPECTRUM = "floor: one FFT of the same data"
 _GRID = OfdmGrid(28e9, 120e3, 3276, comb=4, symbols=14)
 
 
@@ -51,7 +53,7 @@ def _nomp(repeats: int) -> Row:
     plan = NompPlan(_GRID)
     taken = cpu_s(lambda: plan.estimate(cfr, 1e-4), repeats)
     name = f"NOMP, {_GRID.tones} tones, {_PATHS} paths, batches of {_BATCH}: channel"
-    return Row(name, 1e3 * taken / _BATCH, "ms", _NOMP_BAR_MS)
+    return Row(name, 1e3 * taken / _BATCH, "ms", _NOMP_BAR_MS, _SPECTRUM, 1e3 * spectrum_s(cfr) / _BATCH)
 
 
 def _nomp_array(repeats: int) -> Row:
@@ -63,7 +65,8 @@ def _nomp_array(repeats: int) -> Row:
     name = (
         f"NOMP, {_GRID.tones} tones, {_ELEMENTS} antennas, {_PATHS} paths, batches of {_ARRAY_BATCH}: channel"
     )
-    return Row(name, 1e3 * taken / _ARRAY_BATCH, "ms", _ARRAY_BAR_MS)
+    floor = 1e3 * spectrum_s(cfr) / _ARRAY_BATCH
+    return Row(name, 1e3 * taken / _ARRAY_BATCH, "ms", _ARRAY_BAR_MS, _SPECTRUM, floor)
 
 
 def _channels(count: int, array: UniformLinearArray | None) -> NDArray[np.complex128]:
@@ -79,7 +82,8 @@ def _channels(count: int, array: UniformLinearArray | None) -> NDArray[np.comple
     else:
         steering = array.steering(rng.uniform(-1.2, 1.2, shape))
         cfr = np.einsum("ck,cka,ckn->can", gain, steering, atoms, optimize=True)
-    return cfr + np.sqrt(0.5e-4) * (rng.normal(size=cfr.shape) + 1j * rng.normal(size=cfr.shape))
+    noise = np.sqrt(0.5e-4) * (rng.normal(size=cfr.shape) + 1j * rng.normal(size=cfr.shape))
+    return np.asarray(cfr + noise, dtype=np.complex128)
 
 
 def _flash(repeats: int) -> Row:
@@ -92,7 +96,8 @@ def _flash(repeats: int) -> Row:
     echo = sweep_response(_GRID, beams, azimuth, distance, amplitude)
     echo = echo + np.sqrt(0.5 * noise) * (rng.normal(size=echo.shape) + 1j * rng.normal(size=echo.shape))
     taken = cpu_s(lambda: find_flashes(echo, noise, _GRID, beams), repeats)
-    return Row(f"flashes, 64 beams, {_GRID.tones} tones, 4 walls: sweep", 1e3 * taken, "ms", _SWEEP_BAR_MS)
+    name = f"flashes, 64 beams, {_GRID.tones} tones, 4 walls: sweep"
+    return Row(name, 1e3 * taken, "ms", _SWEEP_BAR_MS, _SPECTRUM, 1e3 * spectrum_s(echo))
 
 
 def _line_fit(repeats: int) -> Row:
@@ -101,4 +106,6 @@ def _line_fit(repeats: int) -> Row:
     azimuth = np.linspace(-0.9, 0.9, 16)
     distance = 10.0 / np.cos(azimuth) + 0.2 * rng.normal(size=(_FITS, 16))
     taken = cpu_s(lambda: fit_lines(distance, 0.2, azimuth), repeats)
-    return Row(f"line fit, 16 ranges, batches of {_FITS}: wall", 1e6 * taken / _FITS, "us")
+    points = distance[..., None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    name, peer = f"line fit, 16 ranges, batches of {_FITS}: wall", "total least squares, same points"
+    return Row(name, 1e6 * taken / _FITS, "us", None, peer, 1e6 * line_fits_s(points) / _FITS)

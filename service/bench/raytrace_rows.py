@@ -6,10 +6,12 @@ little; the image method's check is part of ours, and not of the naive way. That
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
@@ -27,12 +29,14 @@ if TYPE_CHECKING:
 __all__ = ["rows"]
 
 _PATHS = "paths of a position and anchor"
+_ALONE = "image method alone"
 _TIMES_FASTER = 50.0
 _IMAGES_FASTER = 3.0
 _SECOND_ORDER_BAR_MS = 0.5
 _MEMORY_BAR_GIB = 3.0
 _ANCHORS_M = ((68.0, 6.0, 2.5), (42.0, 36.0, 2.5), (5.0, 5.0, 2.5), (66.0, 57.0, 2.5))
 _STEP_M = 0.05
+_BLOCK = 2**24  # bytes
 
 
 def rows(quick: bool) -> Iterator[Row]:
@@ -48,7 +52,8 @@ def rows(quick: bool) -> Iterator[Row]:
     try:
         yield from _passive(200 if quick else 1461, 10 if quick else 60)
         yield from _scenes(100 if quick else 1461)
-        yield from _dataset(500 if quick else 100_000)
+        for engine in ("sionna", "images"):
+            yield from _dataset(500 if quick else 100_000, engine)
     except BackendError:  # `hapslam doctor` tells why
         return
 
@@ -63,7 +68,8 @@ def _passive(positions: int, sample: int) -> Iterator[Row]:
     naive = _naive_ms(room, sample)
     peer = f"a solver call per position, no oracle (sample of {sample})"
     yield Row(f"{_PATHS}, depth 1: {what}", ours[1], "ms", naive / _TIMES_FASTER, peer, naive)
-    yield Row(f"{_PATHS}, depth 2: {what}", ours[2], "ms", _SECOND_ORDER_BAR_MS)
+    alone = _images_ms(updated(room, {"tracing.depth": 2}))
+    yield Row(f"{_PATHS}, depth 2: {what}", ours[2], "ms", _SECOND_ORDER_BAR_MS, _ALONE, alone)
 
 
 def _scenes(positions: int) -> Iterator[Row]:
@@ -74,12 +80,12 @@ def _scenes(positions: int) -> Iterator[Row]:
     for name in shipped_scenes():
         plan = _walked(name, positions)
         what = f"{positions} positions x {len(plan.anchors)} anchors"
-        traced = _traced_ms(plan)
+        traced, alone = _traced_ms(plan), _images_ms(plan)
         if name != "l-room":
             row = f"{_PATHS}, depth 2, {name}: {what}, image oracle on"
-            yield Row(row, traced, "ms", _SECOND_ORDER_BAR_MS)
+            yield Row(row, traced, "ms", _SECOND_ORDER_BAR_MS, _ALONE, alone)
         row = f"{_PATHS}, depth 2, {name}, image method alone: {what}"
-        images.append(Row(row, _images_ms(plan), "ms", traced / _IMAGES_FASTER, "traced", traced))
+        images.append(Row(row, alone, "ms", traced / _IMAGES_FASTER, "traced", traced))
     yield from images
 
 
@@ -142,29 +148,59 @@ def _naive_ms(plan: FloorPlan, sample: int) -> float:
     return 1e3 * (time.process_time() - begin) / (sample * len(plan.anchors))
 
 
-def _dataset(positions: int) -> Iterator[Row]:
+@dataclass(frozen=True)
+class _Made:
+    """What a dataset took: wall-clock and CPU seconds, peak of resident memory, bytes, and its tones."""
+
+    seconds: float
+    cpu_s: float
+    peak_kib: int
+    size_bytes: int
+    tones: int
+
+
+def _dataset(positions: int, engine: str) -> Iterator[Row]:
     """A whole dataset with channels, in a process of its own, whose memory is read when it is done."""
     with (
         tempfile.TemporaryDirectory(prefix="hapslam-bench-") as folder,
         ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
     ):
-        seconds, peak_gib, size_gib, tones = pool.submit(_generated, positions, Path(folder)).result()
-    what = f"dataset, {positions} positions x {len(_ANCHORS_M)} anchors x {tones} tones, depth 2"
-    yield Row(f"{what}: peak memory", peak_gib, "GiB", _MEMORY_BAR_GIB)
-    yield Row(f"{what}: time", seconds, "s")
-    yield Row(f"{what}: size", size_gib, "GiB")
+        made = pool.submit(_generated, positions, Path(folder), engine).result()
+        written_s = _written_s(Path(folder) / "floor", made.size_bytes)
+    what = (
+        f"dataset, {positions} positions x {len(_ANCHORS_M)} anchors x {made.tones} tones, depth 2, {engine}"
+    )
+    yield Row(f"{what}: peak memory", made.peak_kib / 2**20, "GiB", _MEMORY_BAR_GIB)
+    yield Row(f"{what}: CPU time", made.cpu_s, "s")
+    yield Row(f"{what}: time", made.seconds, "s", None, "floor: writing as many bytes", written_s)
+    channels = positions * len(_ANCHORS_M) * made.tones * np.dtype(np.complex64).itemsize
+    peer = "floor: its channels, 64 bits each"
+    yield Row(f"{what}: size", made.size_bytes / 2**30, "GiB", None, peer, channels / 2**30)
 
 
-def _generated(positions: int, folder: Path) -> tuple[float, float, float, int]:
-    """Seconds, peak of resident memory (GiB), size (GiB) and tones of a dataset that is made."""
+def _generated(positions: int, folder: Path, engine: str) -> _Made:
+    """Make a dataset."""
     from raytrace.dataset.generate import generate
+    from raytrace.plan.files import updated
 
-    plan = _long_walk(positions)
-    begin = time.perf_counter()
+    plan = updated(_long_walk(positions), {"tracing.engine": engine})
+    begin, begun = time.perf_counter(), time.process_time()
     dataset = generate(plan, folder / "room", seed=1).dataset
-    seconds = time.perf_counter() - begin
+    seconds, used = time.perf_counter() - begin, time.process_time() - begun
     size = sum(file.stat().st_size for file in dataset.path.iterdir())
-    return seconds, _peak_kib() / 2**20, size / 2**30, plan.radio.grid().tones
+    return _Made(seconds, used, _peak_kib(), size, plan.radio.grid().tones)
+
+
+def _written_s(file: Path, size: int) -> float:
+    """Wall-clock seconds that the disk takes for so many bytes."""
+    block = np.random.default_rng(1).bytes(_BLOCK)
+    begin = time.perf_counter()
+    with file.open("wb") as stream:
+        for _ in range(max(size // _BLOCK, 1)):
+            stream.write(block)
+        stream.flush()
+        os.fsync(stream.fileno())
+    return time.perf_counter() - begin
 
 
 def _long_walk(positions: int) -> FloorPlan:

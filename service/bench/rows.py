@@ -42,7 +42,7 @@ class Row:
     @property
     def ratio(self) -> float | None:
         """How many times the peer's figure is this one's."""
-        return None if self.peer_value is None else self.peer_value / self.value
+        return None if self.peer_value is None or self.value == 0.0 else self.peer_value / self.value
 
     @property
     def met(self) -> bool | None:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
+from estimator.slam import run_slam
 from service.bench.load import LoadConfig, measure_load
 from service.bench.memory import POSTED, measure_memory
 from service.bench.rows import Row
 from service.bench.server import running
 from service.client import Client
-from service.session.example import example
+from service.session.example import example, example_measurements
 
 __all__ = ["rows"]
 
@@ -30,7 +34,7 @@ def rows(quick: bool) -> Iterator[Row]:
     config = LoadConfig(seconds=5.0 if quick else 60.0)
     load = measure_load(config)
     what = f"{config.sessions} sessions for {config.seconds:.0f} s, one epoch a request"
-    yield Row("service: start", load["start_s"], "s", _START_BAR_S)
+    yield Row("service: start", load["start_s"], "s", _START_BAR_S, "floor: importing FastAPI", _imported_s())
     yield Row(
         f"{what}: an epoch, of all together",
         1e3 / load["epochs_per_s"],
@@ -44,10 +48,28 @@ def rows(quick: bool) -> Iterator[Row]:
         f"{what}: 99 of 100 wait less", load["p99_ms"], "ms", _P99_BAR_MS, _NOTHING, load["nothing_p99_ms"]
     )
     yield Row(f"{what}: errors", load["errors"], "", 0.0)
-    yield Row(f"{_LARGE} epochs in one request", _large_s(1 if quick else 3), "s", _LARGE_BAR_S)
+    large_s, alone_s = _large_s(1 if quick else 3), _alone_s()
+    peer = "the same epochs without the service"
+    yield Row(f"{_LARGE} epochs in one request", large_s, "s", _LARGE_BAR_S, peer, alone_s)
     memory = measure_memory(4_000 if quick else 100_000)
     name = f"memory of all processes ({POSTED}): growth over {memory.epochs} epochs after the first fifth"
     yield Row(name, max(memory.growth_mib, 0.0), "MiB", _GROWTH_BAR_MIB)
+
+
+def _imported_s() -> float:
+    """Seconds that a process takes that only imports what serves."""
+    begin = time.perf_counter()
+    subprocess.run([sys.executable, "-c", "import fastapi, uvicorn"], check=True)
+    return time.perf_counter() - begin
+
+
+def _alone_s() -> float:
+    """Seconds that the engine takes for the epochs of the large request, in this process."""
+    _, measured = example_measurements(1, _STEP_M)
+    run_slam(replace(measured, epochs=measured.epochs[:2]))  # loads what was compiled
+    begin = time.perf_counter()
+    run_slam(replace(measured, epochs=measured.epochs[:_LARGE]))
+    return time.perf_counter() - begin
 
 
 def _large_s(repeats: int) -> float:

@@ -19,6 +19,7 @@ from estimator.slam import Prior, epoch_rng
 from estimator.slam.particle.config import ParticleConfig
 from estimator.slam.run import config_for, engine_for
 from estimator.threads import one_blas_thread
+from service.bench.floors import association_s, joint_update_s
 from service.bench.resident import PeakMemory
 from service.bench.rooms import EPOCHS, many_anchors, many_paths, many_walls, paper_room, request
 from service.bench.rows import Row
@@ -29,6 +30,7 @@ _FIRST = 8  # epochs with many hypotheses
 _SEEDS = 5
 _RUNS, _PROCESSES = 100, 2
 _PARTICLES = 100_000
+_JOINT = 23, 12  # states of agent, anchors and walls, and paths of an epoch, in the middle of Fig. 13's walk
 _STEP_BAR_MS, _FIRST_BAR_MS, _RUNS_BAR_S = 0.6, 3.0, 15.0
 _WORST_BAR_MS, _STEP_BAR_MIB = 100.0, 100.0
 _REQUEST, _REQUEST_BAR_S, _REQUEST_BAR_MIB = (64, 64, 200), 3.0, 300.0
@@ -61,11 +63,14 @@ def step_rows(quick: bool) -> Iterator[Row]:
         [_stepped(room.measure(SimulationConfig(), 1 + i), epochs)[0] for i in range(seeds)]
     )
     name = "gaussian engine, hybrid, Fig. 13"
-    yield Row(f"{name}: step, mean of {epochs}", float(taken.mean()), "ms", _STEP_BAR_MS)
+    floor = 1e3 * joint_update_s(*_JOINT)
+    peer = f"floor: one joint update in NumPy, {_JOINT[0]} states, {_JOINT[1]} paths"
+    mean = float(taken.mean())
+    yield Row(f"{name}: step, mean of {epochs}", mean, "ms", _STEP_BAR_MS, peer, floor)
     first = float(np.median(taken[:, :_FIRST], axis=0).max())
-    yield Row(f"{name}: dearest of the first {_FIRST} steps", first, "ms", _FIRST_BAR_MS)
+    yield Row(f"{name}: dearest of the first {_FIRST} steps", first, "ms", _FIRST_BAR_MS, peer, floor)
     if not quick:
-        yield _runs()
+        yield _runs(mean)
     for method in ("hybrid", "va"):
         yield _particle_step(method, 6 if quick else 40)
 
@@ -74,12 +79,17 @@ def growth_rows(quick: bool) -> Iterator[Row]:
     """Median and worst step, and what memory a step needs, as one size grows and the others stay."""
     epochs = 6 if quick else 40
     for growth in _GROWTHS:
+        smallest = growth.sizes[0]
+        least: tuple[float, ...] = ()
         for size in growth.sizes[: 2 if quick else None]:
             seconds, mib = _stepped(growth.measured(size), epochs)
-            name = f"growth, {size} {growth.what}: step"
-            yield Row(f"{name}, median of {epochs}", 1e3 * float(np.median(seconds)), "ms")
-            yield Row(f"{name}, worst", 1e3 * float(seconds.max()), "ms", _WORST_BAR_MS)
-            yield Row(f"{name}, peak memory", float(mib.max()), "MiB", _STEP_BAR_MIB)
+            found = 1e3 * float(np.median(seconds)), 1e3 * float(seconds.max()), float(mib.max())
+            least = least or found
+            name, peer = f"growth, {size} {growth.what}: step", f"in proportion to {smallest}"
+            linear = [value * size / smallest for value in least]
+            yield Row(f"{name}, median of {epochs}", found[0], "ms", None, peer, linear[0])
+            yield Row(f"{name}, worst", found[1], "ms", _WORST_BAR_MS, peer, linear[1])
+            yield Row(f"{name}, peak memory", found[2], "MiB", _STEP_BAR_MIB)
 
 
 def request_rows() -> Iterator[Row]:
@@ -88,7 +98,9 @@ def request_rows() -> Iterator[Row]:
         seconds, mib = next(iter(workers.unordered(_asked, [_REQUEST])))
     walls, anchors, paths = _REQUEST
     name = f"request of {walls} walls, {anchors} anchors, {paths} paths of each"
-    yield Row(f"{name}: CPU time", seconds, "s", _REQUEST_BAR_S)
+    floor = association_s(walls + 1, paths, anchors)
+    peer = "floor: each path compared with each feature once"
+    yield Row(f"{name}: CPU time", seconds, "s", _REQUEST_BAR_S, peer, floor)
     yield Row(f"{name}: peak memory of its process", mib, "MiB", _REQUEST_BAR_MIB)
 
 
@@ -106,7 +118,7 @@ def _stepped(measurements: MeasurementSet, epochs: int) -> tuple[NDArray[np.floa
     return np.array(taken), np.array(needed)
 
 
-def _runs() -> Row:
+def _runs(step_ms: float) -> Row:
     """Whole runs, simulated and judged, in processes: the CPU time of all divided by their number."""
     room, case = paper_room(), Case("hybrid", "gaussian")
     tasks = [Run(room, case, 1 + i, _PARTICLES) for i in range(_RUNS)]
@@ -115,7 +127,8 @@ def _runs() -> Row:
         workers.map(perform, tasks)
     each = (_family_s() - begin) / _PROCESSES
     name = f"{_RUNS} runs of Fig. 13, hybrid, in {_PROCESSES} processes: CPU time of each"
-    return Row(name, each, "s", _RUNS_BAR_S)
+    steps = 1e-3 * step_ms * EPOCHS * _RUNS / _PROCESSES
+    return Row(name, each, "s", _RUNS_BAR_S, "floor: their steps alone", steps)
 
 
 def _family_s() -> float:

@@ -7,6 +7,7 @@ import platform
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
 from importlib import import_module
@@ -16,9 +17,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from estimator.errors import FileFormatError
 from service.cli.console import plain_console
 
 if TYPE_CHECKING:
+    from service.bench.comparison import Compared, Comparison
     from service.bench.rows import Row
 
 __all__ = ["register"]
@@ -38,7 +41,9 @@ def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
 
     @app.command(
-        epilog="[bold]Examples[/]\n\n  $ hapslam bench --only estimator\n\n  $ hapslam bench --quick --json"
+        epilog="[bold]Examples[/]\n\n  $ hapslam bench --only estimator\n\n"
+        "  $ hapslam bench --quick --json\n\n"
+        "  $ hapslam bench --only estimator --compare docs/bench.json"
     )
     def bench(
         only: Annotated[Part | None, typer.Option(help="Measure this part alone.")] = None,
@@ -46,32 +51,115 @@ def register(app: typer.Typer) -> None:
             bool, typer.Option("--service", help="Load a server, too; takes a minute or more.")
         ] = False,
         quick: Annotated[bool, typer.Option("--quick", help="Fewer repetitions, rougher figures.")] = False,
+        compare: Annotated[
+            Path | None,
+            typer.Option(
+                metavar="FILE",
+                help="Hold the figures against what --json printed before; end with status 1 if any is worse "
+                "than noise explains.",
+            ),
+        ] = None,
         as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     ) -> None:
         """Measure what the parts cost here, beside their bars and the figures of peers."""
+        earlier = None if compare is None else _earlier(compare, quick)
         parts = [only] if only else [Part.estimator, Part.raytrace, *([Part.service] if with_service else [])]
         begin = time.perf_counter()
         about = {"machine": _machine(), "versions": _versions(), "time": _now(), "quick": quick}
+        found: list[_Measured] = []
+        rows = _kept(_rows(parts, quick), found)
         if as_json:
-            rows = [_as_json(part, row) for part, row in _rows(parts, quick)]
-            seconds = time.perf_counter() - begin
-            sys.stdout.write(json.dumps({**about, "seconds": seconds, "rows": rows}, indent=2) + "\n")
+            list(rows)
         else:
-            _print_table(about, _rows(parts, quick))
+            _print_table(about, rows)
+        compared = _compared(earlier, found)
+        if as_json:
+            seconds = time.perf_counter() - begin
+            entries = [_as_json(*one) for one in zip(found, compared, strict=True)]
+            sys.stdout.write(json.dumps({**about, "seconds": seconds, "rows": entries}, indent=2) + "\n")
+        elif compare is not None:
+            _print_compared(compare, found, compared)
+        if any(one is not None and one.beyond for one in compared):
+            raise typer.Exit(1)
 
 
-def _rows(parts: list[Part], quick: bool) -> Iterator[tuple[Part, Row]]:
+@dataclass(frozen=True)
+class _Measured:
+    """A row, its part, and what a small operation took just before it was measured."""
+
+    part: Part
+    row: Row
+    operation_us: float
+
+
+def _rows(parts: list[Part], quick: bool) -> Iterator[_Measured]:
     """The rows of the parts, as they are measured; parts that are not there are left out."""
+    from service.bench.rows import small_operation_us
+
     for part in parts:
         name = f"service.bench.{part}_rows"
-        if find_spec(name) is not None:
-            for row in import_module(name).rows(quick):
-                yield part, row
+        if find_spec(name) is None:
+            continue
+        rows = import_module(name).rows(quick)
+        while True:
+            operation_us = small_operation_us()
+            row = next(rows, None)
+            if row is None:
+                break
+            yield _Measured(part, row, operation_us)
 
 
-def _as_json(part: Part, row: Row) -> dict[str, Any]:
+def _kept(rows: Iterator[_Measured], found: list[_Measured]) -> Iterator[_Measured]:
+    for row in rows:
+        found.append(row)
+        yield row
+
+
+def _earlier(file: Path, quick: bool) -> Comparison:
+    from estimator.json_objects import json_object
+    from service.bench.comparison import Comparison
+
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileFormatError(
+            f"{file}: expected what `hapslam bench --json` printed, could not read it: {error}"
+        ) from error
+    return Comparison(json_object(text, str(file)), quick)
+
+
+def _compared(earlier: Comparison | None, found: list[_Measured]) -> list[Compared | None]:
+    if earlier is None:
+        return [None] * len(found)
+    unrest = earlier.unrest([one.operation_us for one in found])
+    return [earlier.of(one.row.name, one.row.unit, one.row.value, one.operation_us, unrest) for one in found]
+
+
+def _print_compared(file: Path, found: list[_Measured], compared: list[Compared | None]) -> None:
+    """Print each row's ratio, and how many are worse."""
+    from rich.table import Table
+
+    console = plain_console()
+    table = Table(box=None, pad_edge=False, title_justify="left")
+    table.add_column("what", overflow="fold")
+    table.add_column("now over before (noise band)", no_wrap=True)
+    for one, ratio in zip(found, compared, strict=True):
+        table.add_row(one.row.name, "not there before" if ratio is None else str(ratio))
+    console.print(table)
+    worse = sum(ratio is not None and ratio.beyond for ratio in compared)
+    known = sum(ratio is not None for ratio in compared)
+    console.print(
+        f"{worse} of {known} rows worse than {file}; times in units of the small operation", soft_wrap=True
+    )
+
+
+def _as_json(measured: _Measured, compared: Compared | None) -> dict[str, Any]:
+    row = measured.row
+    told = {} if compared is None else {"compared": {**asdict(compared), "beyond": compared.beyond}}
     return {
-        "part": part.value,
+        **told,
+        "part": measured.part.value,
+        "small_operation_us": measured.operation_us,
         "name": row.name,
         "value": row.value,
         "unit": row.unit,
@@ -83,7 +171,7 @@ def _as_json(part: Part, row: Row) -> dict[str, Any]:
     }
 
 
-def _print_table(about: dict[str, Any], rows: Iterator[tuple[Part, Row]]) -> None:
+def _print_table(about: dict[str, Any], rows: Iterator[_Measured]) -> None:
     from rich.table import Table
     from rich.text import Text
 
@@ -103,8 +191,9 @@ def _print_table(about: dict[str, Any], rows: Iterator[tuple[Part, Row]]) -> Non
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("peer", overflow="fold")
     with console.status("measuring") as status:
-        for part, row in rows:
-            status.update(f"measuring: {part.value}")
+        for measured in rows:
+            row = measured.row
+            status.update(f"measuring: {measured.part.value}")
             verdict = {None: Text(""), True: Text(" met", "green"), False: Text(" NOT met", "red")}[row.met]
             bar = Text("") if row.bar is None else Text(f"{row.bar:.3g} {row.unit}") + verdict
             peer = ""

@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from estimator.measurements import MeasurementSet
 from estimator.simulate import SimulationConfig, measure_scene
 from service.messages.documents import dump
 from service.messages.requests import epoch_entry, session_entry, sweep_entry
 from service.session.tasks import TaskContext
 
-__all__ = ["ExampleTask", "example"]
+__all__ = ["ExampleTask", "example", "example_measurements"]
 
 _WALLS = np.array(
     [
@@ -40,19 +42,7 @@ def example(seed: int, step_m: float = 0.5) -> dict[str, Any]:
     step_m : float
         How far the agent goes from epoch to epoch, metres.
     """
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(_CORNERS, axis=0), axis=1))])
-    at = np.arange(0.0, length[-1], step_m)
-    track = np.stack([np.interp(at, length, _CORNERS[:, axis]) for axis in range(2)], axis=1)
-    measurements = measure_scene(
-        _WALLS[:, 0],
-        _WALLS[:, 1],
-        _ANCHORS,
-        track,
-        _SENSED_M2,
-        28e9,
-        SimulationConfig(),
-        np.random.default_rng(seed),
-    )
+    track, measurements = example_measurements(seed, step_m)
     start_frame = {"position_m": track[0].tolist(), "heading_rad": 0.0}
     return {
         "session": session_entry(measurements, name=f"example, seed {seed}", start_frame=start_frame),
@@ -69,6 +59,23 @@ def example(seed: int, step_m: float = 0.5) -> dict[str, Any]:
         },
         "epochs": [epoch_entry(measurements.anchors, epoch) for epoch in measurements.epochs],
     }
+
+
+def example_measurements(seed: int, step_m: float = 0.5) -> tuple[NDArray[np.float64], MeasurementSet]:
+    """The example's track (T, 2), metres, and what is measured along it; parameters as of :func:`example`."""
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(_CORNERS, axis=0), axis=1))])
+    at = np.arange(0.0, length[-1], step_m)
+    track = np.stack([np.interp(at, length, _CORNERS[:, axis]) for axis in range(2)], axis=1)
+    return track, measure_scene(
+        _WALLS[:, 0],
+        _WALLS[:, 1],
+        _ANCHORS,
+        track,
+        _SENSED_M2,
+        28e9,
+        SimulationConfig(),
+        np.random.default_rng(seed),
+    )
 
 
 @dataclass(frozen=True)
