@@ -29,7 +29,7 @@ from estimator.slam.gaussian.clutter import clutter_density
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.estimate import estimate
 from estimator.slam.gaussian.free_clock import guess_clock, on_present_clock, to_remember
-from estimator.slam.gaussian.integrity import possible_evidence, with_epoch
+from estimator.slam.gaussian.integrity import is_lost, possible_evidence, with_epoch
 from estimator.slam.gaussian.lifecycle import (
     delete_corners,
     delete_redundant,
@@ -37,6 +37,7 @@ from estimator.slam.gaussian.lifecycle import (
     judge_tentative,
     prune_confirmed,
 )
+from estimator.slam.gaussian.path_relocation import search_elsewhere
 from estimator.slam.gaussian.phase import Phase, phase_of
 from estimator.slam.gaussian.predict import predict
 from estimator.slam.gaussian.recalled_track import Move
@@ -106,8 +107,11 @@ def step(
     predicted = state
     if epoch.sweep and state.shared:
         state = follow_sweep(state, epoch, paths, config, phase)
-    before, unlabelled = state.log_evidence, state.hypotheses
     clutter = clutter_density(state.buffer, state.layout.anchors, state.blind, config.noise, config.clutter)
+    regained = False
+    if state.shared and not state.swept_within(config.sweeps.often_epochs):
+        state, regained = search_elsewhere(state, paths, clutter, config)
+    before, unlabelled = state.log_evidence, state.hypotheses
     state, explained = _update(state, paths, clutter, config)
     state = on_present_clock(state, earlier.hypotheses, config)
     located = state.hypotheses.located[state.hypotheses.best]
@@ -120,9 +124,12 @@ def step(
         state = state.but(
             hypotheses=with_doubt(state.hypotheses, unlabelled, config.sweeps.mislabelled_probability)
         )
-    state = _locate(state, paths, config, phase)
+    lost = state.shared and is_lost(state.indicators, config.integrity)
+    if not lost:
+        state = _locate(state, paths, config, phase)
     state = _remember(state, paths, explained, config)
-    state = _bear(state, config, phase)
+    if not lost:
+        state = _bear(state, config, phase)
     reduced = reduce_mixture(state.hypotheses, config.reduce_model(phase, state.layout))
     state = _live_on(state.but(hypotheses=reduced), config, phase)
     if state.shared:
@@ -132,7 +139,8 @@ def step(
     if jump_m < reach_m + config.integrity.jump_sigma * (std_before + std):
         jump_m = 0.0
     untold = state.epoch - max(state.swept_epoch, state.tracked_epoch)
-    return state.but(indicators=with_epoch(state.indicators, *signs, std, jump_m, untold, config.integrity))
+    indicators = with_epoch(state.indicators, *signs, std, jump_m, untold, config.integrity, regained)
+    return state.but(indicators=indicators)
 
 
 def _place(hypotheses: Hypotheses) -> tuple[Array, float]:

@@ -24,6 +24,7 @@ __all__ = [
     "Indicators",
     "IntegrityModel",
     "is_doubtful",
+    "is_lost",
     "is_suspect",
     "judged",
     "no_indicators",
@@ -52,6 +53,9 @@ class IntegrityModel(Settings):
     untold_epochs : int
         Where neither sweep nor odometry told how the agent moves for more epochs than this, nothing else
         than paths did.
+    settled_epochs : int
+        A run that has been beyond suspicion in so many epochs has a map worth keeping as it was, once it is
+        lost.
     odds_offset, odds_unexplained, odds_shortfall, odds_std, odds_untold : float
         Log odds of being more than a metre off: at a standard deviation of 1 m; more for each unit of the
         share of unexplained paths, of the shortfall of a path, and of the log of the
@@ -83,6 +87,7 @@ class IntegrityModel(Settings):
     usual_unexplained: float = share(0.25)
     usual_shortfall: float = any_number(3.0)
     untold_epochs: int = positive(12)
+    settled_epochs: int = positive(12)
     odds_offset: float = any_number(-1.88)
     odds_unexplained: float = any_number(5.52)
     odds_shortfall: float = any_number(0.22)
@@ -116,6 +121,10 @@ class Indicators(NamedTuple):
         Epochs since a sweep or odometry told how the agent moves.
     astray : float
         1 where the run was lost and nothing but paths has told of it since, else 0.
+    suspected : float
+        Epochs in a row after which the run was suspect.
+    settled : float
+        Epochs after which it was neither suspect nor astray.
     """
 
     paths: float
@@ -126,6 +135,8 @@ class Indicators(NamedTuple):
     latest: float
     untold: float
     astray: float
+    suspected: float
+    settled: float
 
 
 def possible_evidence(paths: EpochPaths, located: NDArray[np.bool_], clutter: Array) -> float:
@@ -139,7 +150,7 @@ def no_indicators(model: IntegrityModel) -> Indicators:
     """Those of a run that has not begun: it stands where it starts."""
     usual = model.odds_unexplained * model.usual_unexplained + model.odds_shortfall * model.usual_shortfall
     odds = model.odds_offset + usual + model.odds_std * float(np.log(model.model_std_m))
-    return Indicators(0.0, 0.0, 0.0, odds, 0.0, 0.0, 0.0, 0.0)
+    return Indicators(0.0, 0.0, 0.0, odds, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def with_epoch(
@@ -151,6 +162,7 @@ def with_epoch(
     jump_m: float,
     untold: int,
     model: IntegrityModel,
+    regained: bool = False,
 ) -> Indicators:
     """The indicators after an epoch.
 
@@ -168,6 +180,8 @@ def with_epoch(
         Epochs since a sweep or odometry told how the agent moves.
     model : IntegrityModel
         Weights.
+    regained : bool
+        Whether the paths single out, of all places of the map, the one where the agent is thought to be.
     """
     keep = 1.0 - 1.0 / model.memory_epochs
     heard = keep * now.paths + paths
@@ -187,17 +201,32 @@ def with_epoch(
     if jump_m > 0.0:
         odds = max(odds, _log_odds(model.lost_probability) + 1.0)
     alone_told = untold > model.untold_epochs
-    astray = float(alone_told and (now.astray > 0.0 or odds > _log_odds(model.lost_probability)))
-    if astray:  # walls born since explain the paths of wherever the run thinks to be
+    astray = float(
+        alone_told
+        and not (regained and now.settled >= model.settled_epochs)
+        and (now.astray > 0.0 or odds > _log_odds(model.lost_probability))
+    )
+    if astray:  # few paths fit many places
         odds = max(odds, _log_odds(model.doubtful_probability) + _LEAST_DOUBT)
     latest = unexplained / paths if paths >= 1.0 else now.latest
-    after = Indicators(heard, lacking, short, odds, jump_m or now.jump_m, latest, float(untold), astray)
+    jumped = jump_m or now.jump_m
+    after = Indicators(heard, lacking, short, odds, jumped, latest, float(untold), astray, 0.0, now.settled)
+    if is_suspect(after, model):
+        after = after._replace(suspected=now.suspected + 1.0)
+    else:
+        after = after._replace(settled=now.settled + 1.0)
     return after if is_doubtful(after, model) else after._replace(jump_m=0.0)
 
 
 def is_doubtful(now: Indicators, model: IntegrityModel) -> bool:
     """Whether a run is doubtful or lost."""
     return now.log_odds > _log_odds(model.doubtful_probability)
+
+
+def is_lost(now: Indicators, model: IntegrityModel) -> bool:
+    """Whether a run with a map worth keeping is lost, or was and nothing has told since where it is."""
+    lost = now.astray > 0.0 or now.log_odds > _log_odds(model.lost_probability)
+    return lost and now.settled >= model.settled_epochs
 
 
 def is_suspect(now: Indicators, model: IntegrityModel) -> bool:

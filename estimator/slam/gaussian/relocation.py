@@ -36,7 +36,16 @@ from estimator.slam.models.state_vector import (
 from estimator.slam.models.sweeps import FLASH_ENTRIES
 from estimator.slam.models.visibility import Visibility, prior_visibility
 
-__all__ = ["Relocation", "Seen", "is_explained", "place_scores", "relocated"]
+__all__ = [
+    "Relocation",
+    "Seen",
+    "best_places",
+    "elsewhere",
+    "grid",
+    "is_explained",
+    "place_scores",
+    "relocated",
+]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -55,8 +64,8 @@ class Relocation(Settings):
         A sweep is explained where known walls give at least this share of its flashes,
     explained_sigma : float
         within so many standard deviations.
-    place_std_m : float
-        Standard deviation per axis of a place found on the grid, metres.
+    place_std_m, path_place_std_m : float
+        Standard deviation per axis of a place found on the grid, by a sweep and by paths alone, metres.
     cell_m : float
         Size of a cell, metres; larger where there would be more than ``most_cells``.
     most_cells : int
@@ -67,6 +76,9 @@ class Relocation(Settings):
         so far apart at least, metres,
     worse_nats : float
         and no more than this worse than the best.
+    retry_epochs : int
+        While a run is suspect and sweeps do not come often, it is looked for by paths: at once, then after
+        twice as many epochs each time, up to so many.
     margin_m : float
         How far the mapped area reaches beyond its walls and anchors, metres.
     most_headings : int
@@ -79,6 +91,8 @@ class Relocation(Settings):
     explained_share: float = share(0.75)
     explained_sigma: float = positive(4.0)
     place_std_m: float = positive(0.5)
+    path_place_std_m: float = positive(0.25)
+    retry_epochs: int = positive(16)
     cell_m: float = positive(0.25)
     most_cells: int = positive(40_000)
     most_places: int = positive(8)
@@ -275,7 +289,7 @@ def relocated(
     located = hypotheses.located[best]
     if not present.any():
         return None
-    cells, cell_m = _grid(layout, mean, present, located, model)
+    cells, cell_m = grid(layout, mean, present, located, model)
     turns = np.array([-mean[THETA]]) if held else _headings(layout, mean, present, flash, model)
     score = np.full(len(cells), -np.inf)
     for turn in turns.tolist():
@@ -291,16 +305,50 @@ def relocated(
         )
         own = place_scores(layout, mean, present, located, cells, cell_m, seen)
         score = np.maximum(score, own)
-    chosen = _best_places(cells, score, model)
-    weight = model.elsewhere_probability * 2.0 * np.pi * model.place_std_m**2 / (len(cells) * cell_m**2)
-    elsewhere = hypotheses.take(np.full(len(chosen), best))
-    elsewhere.log_weight[...] = np.log(weight)
-    elsewhere.mean[:, :2], elsewhere.mean[:, 2:4] = cells[chosen], 0.0
-    elsewhere.covariance[:, AGENT, :], elsewhere.covariance[:, :, AGENT] = 0.0, 0.0
-    variances = [model.place_std_m**2] * 2 + [speed_std_m_s**2] * 2
-    elsewhere.covariance[:, AGENT, AGENT] = np.diag(variances)
-    elsewhere.visibility[...] = prior_visibility(layout, visibility)
-    return _any_way_round(elsewhere, model.most_headings) if driven else elsewhere
+    chosen = best_places(cells, score, model)
+    found = elsewhere(
+        state, cells[chosen], cell_m, len(cells), model.place_std_m, model, visibility, speed_std_m_s
+    )
+    return _any_way_round(found, model.most_headings) if driven else found
+
+
+def elsewhere(
+    state: GaussianState,
+    places: Array,
+    cell_m: float,
+    cells: int,
+    std_m: float,
+    model: Relocation,
+    visibility: Visibility,
+    speed_std_m_s: float,
+) -> Hypotheses:
+    """The likeliest hypothesis with its agent at other places of a grid, each with its prior probability.
+
+    Parameters
+    ----------
+    state : GaussianState
+        State with predicted hypotheses.
+    places : ndarray, shape (C, 2)
+        Places, gauge frame, metres.
+    cell_m, cells : float, int
+        Size of a cell of the grid, metres, and how many there are.
+    std_m : float
+        Standard deviation of a place per axis, metres.
+    model : Relocation
+        How probably the agent is elsewhere at all.
+    visibility : Visibility
+        What is visible there is not known.
+    speed_std_m_s : float
+        Standard deviation of the agent's velocity there, per axis, metres a second.
+    """
+    hypotheses = state.hypotheses
+    found = hypotheses.take(np.full(len(places), hypotheses.best))
+    found.log_weight[...] = np.log(model.elsewhere_probability * 2.0 * np.pi * std_m**2 / (cells * cell_m**2))
+    found.mean[:, :2], found.mean[:, 2:4] = places, 0.0
+    found.covariance[:, AGENT, :], found.covariance[:, :, AGENT] = 0.0, 0.0
+    found.covariance[:, AGENT, AGENT] = np.diag([std_m**2] * 2 + [speed_std_m_s**2] * 2)
+    found.visibility[...] = prior_visibility(state.layout, visibility)
+    return found
 
 
 def _any_way_round(hypotheses: Hypotheses, headings: int) -> Hypotheses:
@@ -314,9 +362,7 @@ def _any_way_round(hypotheses: Hypotheses, headings: int) -> Hypotheses:
     return turned
 
 
-def _grid(
-    layout: Layout, mean: Array, present: Mask, located: Mask, model: Relocation
-) -> tuple[Array, float]:
+def grid(layout: Layout, mean: Array, present: Mask, located: Mask, model: Relocation) -> tuple[Array, float]:
     """Cells (C, 2) over the mapped area, and how far they are apart, metres."""
     feet = 0.5 * mean[layout.walls].reshape(-1, 2)[present]
     anchors = np.array([mean[layout.anchor_xy(k)] for k in np.flatnonzero(located).tolist()]).reshape(-1, 2)
@@ -338,7 +384,7 @@ def _headings(layout: Layout, mean: Array, present: Mask, flash: Array, model: R
     return np.asarray((np.argsort(-votes, kind="stable")[: model.most_headings] + 0.5) * width)
 
 
-def _best_places(cells: Array, score: Array, model: Relocation) -> NDArray[np.int64]:
+def best_places(cells: Array, score: Array, model: Relocation) -> NDArray[np.int64]:
     """Cells of the best places, apart from one another."""
     chosen: list[int] = []
     left = score.copy()

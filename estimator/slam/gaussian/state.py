@@ -18,7 +18,7 @@ from estimator.slam.models.state_vector import Layout
 __all__ = ["GaussianState", "Slots", "load_state", "save_state"]
 
 Array = NDArray[np.float64]
-FORMAT = "hapslam-gaussian-state/11"
+FORMAT = "hapslam-gaussian-state/12"
 
 
 class Slots(NamedTuple):

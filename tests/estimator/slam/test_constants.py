@@ -29,6 +29,8 @@ ALLOWED = {
     "anchors/initialise.py": {"_KNOWN_M2"},
     "anchors/joint_update.py": {"_LOG_2PI", "_PER_PATH"},
     "anchors/observations.py": {"_LEAST_LOSS_RATIO", "_BUCKETS"},
+    "run.py": {"_STRETCH"},
+    "gaussian/path_relocation.py": {"_FAR"},
     "anchors/refinement.py": {"_STILL_M", "_FLAT", "ITERATIONS"},
     "anchors/seeds.py": {"_SHORTEST_M"},
     "anchors/survey.py": {"_LEAST_M2"},

@@ -190,7 +190,7 @@ def test_damaged_states_are_refused(room):
     measured = room.measure(55, epochs=1)
     data = save_state(start(measured.walls, measured.anchors, 28e9, GaussianConfig()))
     for damaged in (b"", data[: len(data) // 2], b"PK not a state", data[:-10]):
-        with pytest.raises(FileFormatError, match="expected hapslam-gaussian-state/11"):
+        with pytest.raises(FileFormatError, match="expected hapslam-gaussian-state/12"):
             load_state(damaged)
 
 

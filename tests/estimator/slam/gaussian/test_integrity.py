@@ -126,3 +126,32 @@ def test_a_run_that_was_lost_stays_doubtful_until_something_but_paths_tells():
     for _ in range(10):
         now = integrity.with_epoch(now, 10.0, 0.5, 14.0, 0.02, 0.0, 0, MODEL)
     assert integrity.judged(now, 0.01**2 * np.eye(2), MODEL).state == "ok"
+
+
+@pytest.mark.parametrize("settled", [True, False])
+def test_a_run_whose_paths_single_out_its_place_is_found_again(settled):
+    """One epoch whose paths fit nowhere else ends the doubt that a loss leaves, if the map is older."""
+    untold = MODEL.untold_epochs + 1
+    now = after(40 if settled else 0, 10.0, 0.5, 14.0, 0.02, untold)
+    for _ in range(40):
+        now = integrity.with_epoch(now, 10.0, 10.0, 60.0, 3.0, 0.0, untold, MODEL)
+    for _ in range(30):
+        now = integrity.with_epoch(now, 10.0, 0.5, 14.0, 0.02, 0.0, untold, MODEL)
+    assert integrity.is_lost(now, MODEL) == settled
+    now = integrity.with_epoch(now, 10.0, 0.5, 14.0, 0.02, 0.0, untold, MODEL, regained=True)
+    assert not integrity.is_lost(now, MODEL)
+    for _ in range(20):
+        now = integrity.with_epoch(now, 10.0, 0.5, 14.0, 0.02, 0.0, untold, MODEL)
+    assert integrity.judged(now, 0.01**2 * np.eye(2), MODEL).state == ("ok" if settled else "doubtful")
+
+
+def test_suspicion_is_counted_and_forgotten():
+    """Epochs in a row, from nought as soon as all is well."""
+    now = after(20, 10.0, 0.5, 14.0, 0.02)
+    assert now.suspected == 0.0
+    for count in (1.0, 2.0, 3.0):
+        now = integrity.with_epoch(now, 10.0, 9.0, 40.0, 0.02, 0.0, 0, MODEL)
+        assert now.suspected == count
+    for _ in range(20):
+        now = integrity.with_epoch(now, 10.0, 0.5, 14.0, 0.02, 0.0, 0, MODEL)
+    assert now.suspected == 0.0

@@ -57,5 +57,5 @@ def test_damage_and_other_kinds_are_told(room):
         pack("other/1", {}),
         pack(FORMAT, {}),
     ):
-        with pytest.raises(FileFormatError, match="expected hapslam-gaussian-state/11"):
+        with pytest.raises(FileFormatError, match="expected hapslam-gaussian-state/12"):
             load_state(damaged)

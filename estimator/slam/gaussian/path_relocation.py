@@ -1,0 +1,202 @@
+"""The agent found again by paths alone: where no sweep comes and what the paths say is not what is thought.
+
+While a run is suspect, the paths of an epoch are held now and then against all places of the mapped area, on
+a grid: each path may be the line of sight to a located anchor, a bounce off a known wall, or neither. The
+best places become hypotheses, as those of :mod:`estimator.slam.gaussian.relocation`, and the update weighs
+them against the others. Time is that of the cells times paths times walls; all three are bounded.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.compiled import compiled
+from estimator.slam.gaussian.config import GaussianConfig
+from estimator.slam.gaussian.relocation import Relocation, best_places, elsewhere, grid
+from estimator.slam.gaussian.state import GaussianState
+from estimator.slam.models.epoch_paths import EpochPaths
+from estimator.slam.models.state_vector import FIRST_ANCHOR, PER_ANCHOR, Layout
+from estimator.slam.models.visibility import Visibility
+
+__all__ = ["FoundPlaces", "path_scores", "places_by_paths", "search_elsewhere"]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_FAR: Final = 30.0  # numerical floor: squared standard deviations beyond which a density counts as nothing
+
+
+@compiled
+def path_scores(
+    layout: Layout,
+    mean: Array,
+    present: Mask,
+    located: Mask,
+    cells: Array,
+    cell_m: float,
+    paths: EpochPaths,
+    clutter: Array,
+    prior_sight: float,
+    prior_wall: float,
+) -> Array:
+    """Log likelihood (C,) of places of the agent, over that of a place where nothing is known.
+
+    Parameters
+    ----------
+    layout : Layout
+        Positions in the state vector.
+    mean : ndarray, shape (n,)
+        The map: a state vector whose agent is not looked at.
+    present, located : ndarray of bool, shapes (L,) and (K,)
+        Walls and anchors that it has.
+    cells : ndarray, shape (C, 2)
+        Places, gauge frame, metres,
+    cell_m : float
+        and how far apart they are.
+    paths : EpochPaths
+        Paths of the epoch.
+    clutter : ndarray, shape (K,)
+        Density of paths that no known feature gives, per metre.
+    prior_sight, prior_wall : float
+        Probabilities that a line of sight, and a bounce off a wall, is heard.
+    """
+    first = FIRST_ANCHOR + PER_ANCHOR * layout.anchors
+    blur = cell_m * cell_m / 6.0  # of a place within its cell, and what it does to a length
+    score = np.zeros(cells.shape[0])
+    source, prior = np.empty((layout.slots + 1, 2)), np.empty(layout.slots + 1)
+    for k in range(layout.anchors):
+        if not located[k] or paths.number[k] == 0:
+            continue
+        a = FIRST_ANCHOR + PER_ANCHOR * k
+        source[0, 0], source[0, 1], prior[0] = mean[a], mean[a + 1], prior_sight
+        sources = 1
+        for i in range(layout.slots):
+            if present[i]:
+                x, y = mean[first + 2 * i], mean[first + 2 * i + 1]
+                share = 1.0 - 2.0 * (mean[a] * x + mean[a + 1] * y) / max(x * x + y * y, 1e-12)
+                source[sources, 0], source[sources, 1] = mean[a] + share * x, mean[a + 1] + share * y
+                prior[sources] = prior_wall
+                sources += 1
+        for cell in range(cells.shape[0]):
+            for m in range(paths.number[k]):
+                variance = paths.std_m[k, m] ** 2 + blur
+                scale = 1.0 / (np.sqrt(2.0 * np.pi * variance) * clutter[k])
+                ratio = 1.0
+                for f in range(sources):
+                    dx, dy = source[f, 0] - cells[cell, 0], source[f, 1] - cells[cell, 1]
+                    length = np.sqrt(max(dx * dx + dy * dy + mean[a + 2], 0.0))
+                    gap = paths.length_m[k, m] - (1.0 + mean[a + 4]) * length - mean[a + 3]
+                    square = gap * gap / variance
+                    if square < _FAR:
+                        ratio += prior[f] * scale * np.exp(-0.5 * square)
+                score[cell] += np.log(ratio)
+    return score
+
+
+class FoundPlaces(NamedTuple):
+    """Where the paths of an epoch may have been heard.
+
+    Parameters
+    ----------
+    places_m : ndarray, shape (C, 2)
+        The best places, gauge frame, metres.
+    cell_m, cells : float, int
+        Size of a cell of the grid, metres, and how many there are.
+    here : bool
+        Whether there is one place alone, and that the one where the agent is thought to be.
+    """
+
+    places_m: Array
+    cell_m: float
+    cells: int
+    here: bool
+
+
+def places_by_paths(
+    state: GaussianState, paths: EpochPaths, clutter: Array, model: Relocation, visibility: Visibility
+) -> FoundPlaces | None:
+    """Places of the map of the likeliest hypothesis that explain an epoch's paths best; None without a map.
+
+    Parameters
+    ----------
+    state : GaussianState
+        State with predicted hypotheses.
+    paths : EpochPaths
+        Paths of the epoch.
+    clutter : ndarray, shape (K,)
+        Density of paths that no known feature gives, per metre.
+    model : Relocation
+        Where.
+    visibility : Visibility
+        How probably a feature is heard.
+    """
+    layout, hypotheses = state.layout, state.hypotheses
+    best = hypotheses.best
+    mean, present = hypotheses.mean[best], hypotheses.present[best] & state.slots.confirmed
+    located = hypotheses.located[best]
+    if not present.any() or not located.any():
+        return None
+    cells, cell_m = grid(layout, mean, present, located, model)
+    score = path_scores(
+        layout,
+        mean,
+        present,
+        located,
+        cells,
+        cell_m,
+        paths,
+        clutter,
+        visibility.prior_sight,
+        visibility.prior_wall,
+    )
+    places = cells[best_places(cells, score, model)]
+    here = len(places) == 1 and bool(np.linalg.norm(places[0] - mean[:2]) < model.apart_m)
+    return FoundPlaces(places, cell_m, len(cells), here and score.max() > model.worse_nats)
+
+
+def search_elsewhere(
+    state: GaussianState, paths: EpochPaths, clutter: Array, config: GaussianConfig
+) -> tuple[GaussianState, bool]:
+    """Look for the agent elsewhere, now and then while the run is suspect.
+
+    Parameters
+    ----------
+    state : GaussianState
+        State with predicted hypotheses.
+    paths : EpochPaths
+        Paths of the epoch.
+    clutter : ndarray, shape (K,)
+        Density of paths that no known feature gives, per metre.
+    config : GaussianConfig
+        Models.
+
+    Returns
+    -------
+    state : GaussianState
+        With hypotheses of the agent elsewhere, if it was looked for.
+    here : bool
+        Whether it is where it is thought to be, and could be nowhere else.
+    """
+    model, suspected = config.relocation, int(state.indicators.suspected)
+    doubled = suspected & (suspected - 1) == 0 and suspected < model.retry_epochs
+    settled = state.indicators.settled >= config.integrity.settled_epochs
+    if not settled or suspected == 0 or not (doubled or suspected % model.retry_epochs == 0):
+        return state, False
+    found = places_by_paths(state, paths, clutter, model, config.visibility)
+    if found is None:
+        return state, False
+    if found.here:
+        return state, True
+    more = elsewhere(
+        state,
+        found.places_m,
+        found.cell_m,
+        found.cells,
+        model.path_place_std_m,
+        model,
+        config.visibility,
+        config.motion.speed_std_m_s,
+    )
+    return state.but(hypotheses=state.hypotheses.joined(more)), False
