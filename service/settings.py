@@ -66,7 +66,9 @@ class Settings(BaseSettings):
     max_unpacked_bytes : int
         Largest size of an uploaded file once decompressed.
     max_smoothed_epochs : int
-        Longest session that is smoothed.
+        Longest session that is smoothed, and that a twin is made of.
+    max_coverage_points : int
+        Points of a predicted coverage.
     max_jobs_per_key : int
         Jobs of a key that are not done.
     max_sessions_per_key : int
@@ -96,6 +98,7 @@ class Settings(BaseSettings):
     max_step_pairs: Count = 20_000
     prompt_s: Seconds = 0.1
     max_smoothed_epochs: Count = 10_000
+    max_coverage_points: Count = 20_000
     max_body_bytes: Count = 64 * 2**20
     max_json_bytes: Count = 16 * 2**20
     max_small_json_bytes: Count = 256 * 2**10

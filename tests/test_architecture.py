@@ -20,6 +20,7 @@ LATE = {
     "raytrace_rows.py",
     "twin.py",
     "twin_plan.py",
+    "twins.py",
     "known_plan.py",
 }  # of the service, import raytrace
 

@@ -31,6 +31,15 @@ class Legs:
     path: NDArray[np.int64]
     weight: Array
 
+    def joined(self, other: Legs) -> Legs:
+        """These and others, whose paths are none of these."""
+        first = int(self.path.max(initial=-1)) + 1
+        return Legs(
+            np.concatenate([self.ends_m, other.ends_m]),
+            np.concatenate([self.path, first + other.path]),
+            np.concatenate([self.weight, other.weight]),
+        )
+
     def select(self, mask: Mask) -> Legs:
         """The legs of a mask (N,)."""
         return Legs(self.ends_m[mask], self.path[mask], self.weight[mask])

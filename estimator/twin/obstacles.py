@@ -37,10 +37,13 @@ class ShadowSearch(Settings):
         Cells of the map of where heard paths passed.
     silent, heard_single, heard_double : float
         What a silent path that is not hidden costs, and a heard one that is, nats.
+    least_heard : float
+        Where less than this share of the double bounces (or of the other paths) that walls would give is
+        heard at all, silence of one tells as much less: a receiver may resolve none.
     walked : float
-        An obstacle where the agent walked.
+        An obstacle where the agent walked, or an anchor stands.
     clearance_m : float
-        Half the width that it needs.
+        Half the width that either needs.
     perimeter_per_m : float
         What a metre of an obstacle's outline costs: the smallest box that explains as much.
     least_gain : float
@@ -55,6 +58,7 @@ class ShadowSearch(Settings):
     silent: float = positive(0.5)
     heard_single: float = positive(1.0)
     heard_double: float = positive(0.4)
+    least_heard: float = positive(0.25)
     walked: float = positive(20.0)
     clearance_m: float = positive(0.15)
     perimeter_per_m: float = positive(0.3)
@@ -117,15 +121,12 @@ def find_obstacles(
     double = np.sum(sights.unfolded.walls >= 0, axis=1) > 1
     price = np.where(double, config.heard_double, config.heard_single) * sights.weight
     heard = _turned(legs_of(sights, sights.heard & expected, price), -axis_rad)
-    silent = _turned(legs_of(sights, sights.silent & expected, np.array(config.silent)), -axis_rad)
+    quiet = config.silent * _audible(sights, expected, double, config.least_heard)
+    silent = _turned(legs_of(sights, sights.silent & expected, quiet), -axis_rad)
     if _weight(silent, np.ones(len(silent.path), dtype=bool)) < config.least_gain or not len(heard.path):
         return []
-    track = _turned(_walked(sights, config), -axis_rad)
-    heard = Legs(
-        np.concatenate([heard.ends_m, track.ends_m]),
-        np.concatenate([heard.path, track.path + heard.path.max() + 1]),
-        np.concatenate([heard.weight, track.weight]),
-    )
+    for taken in (_walked(sights, config), _stood(sights, config)):
+        heard = heard.joined(_turned(taken, -axis_rad))
     low = heard.ends_m.reshape(-1, 2).min(axis=0) - config.cell_m
     shape = np.ceil((heard.ends_m.reshape(-1, 2).max(axis=0) + config.cell_m - low) / config.cell_m)
     size = (int(shape[0]), int(shape[1]))
@@ -156,6 +157,15 @@ def find_obstacles(
     return sorted(found, key=lambda obstacle: -obstacle.hidden)
 
 
+def _audible(sights: Sightings, expected: Mask, double: Mask, least: float) -> Array:
+    """How far silence of each feature (F,) tells of obstacles: not at all if such paths are never heard."""
+    share = np.ones(len(double))
+    for kind in (double, ~double):
+        heard, silent = ((which & expected)[:, :, kind].sum() for which in (sights.heard, sights.silent))
+        share[kind] = min(heard / max(heard + silent, 1) / least, 1.0)
+    return share
+
+
 def _walked(sights: Sightings, config: ShadowSearch) -> Legs:
     """The agent's own way, which nothing stands in, and its width beside it."""
     track = sights.unfolded.vertex_m[:, 0, 0, -1]
@@ -165,6 +175,14 @@ def _walked(sights: Sightings, config: ShadowSearch) -> Legs:
     ends, along = ends[size > 0.0], along[size > 0.0] / size[size > 0.0, None]
     across = config.clearance_m * np.stack([-along[:, 1], along[:, 0]], axis=1)[:, None]
     every = np.concatenate([ends - across, ends, ends + across])
+    return Legs(every, np.arange(len(every)), np.full(len(every), config.walked))
+
+
+def _stood(sights: Sightings, config: ShadowSearch) -> Legs:
+    """Where anchors are, and as much space around them."""
+    anchors = sights.unfolded.vertex_m[0, :, 0, 0]
+    arms = config.clearance_m * np.array([[[-1.0, 0.0], [1.0, 0.0]], [[0.0, -1.0], [0.0, 1.0]]])
+    every = (anchors[:, None, None] + arms).reshape(-1, 2, 2)
     return Legs(every, np.arange(len(every)), np.full(len(every), config.walked))
 
 

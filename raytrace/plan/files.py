@@ -26,6 +26,7 @@ from raytrace.plan.sound_walls import sound_walls
 __all__ = [
     "FloorPlanError",
     "floorplan_schema",
+    "floorplan_text",
     "load_floorplan",
     "parse_floorplan",
     "save_floorplan",
@@ -145,11 +146,16 @@ def save_floorplan(plan: FloorPlan, path: Path) -> None:
     """
     path = Path(path)
     require_absent(path)
+    write_text(floorplan_text(plan), path)
+
+
+def floorplan_text(plan: FloorPlan) -> str:
+    """A plan as TOML; what is as by default is left out."""
     head = {"format": plan.format, "version": plan.version}
     values = plan.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     for wall, full in zip(values["walls"], plan.walls, strict=True):
         wall.update(height_m=full.height_m, material=full.material, thickness_m=full.thickness_m)
-    write_text(tomli_w.dumps({**head, **values}), path)
+    return tomli_w.dumps({**head, **values})
 
 
 def floorplan_schema() -> dict[str, Any]:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from estimator.measurements import MeasurementSet
     from estimator.result import SlamResult
     from raytrace.plan.floorplan import FloorPlan
-    from raytrace.plan.links import Radio
 
 __all__ = ["register"]
 
@@ -81,7 +80,7 @@ def twin(
     from estimator.slam.smoothing.refine import refine
     from estimator.twin.build import build_twin
     from raytrace.plan.files import save_floorplan
-    from service.cli.twin_plan import refined, twin_plan
+    from service.session.twin_plan import passive_link, refined, twin_plan
 
     require_absent(out)
     found, measured = load_result(result), load_measurements(measurements)
@@ -92,7 +91,7 @@ def twin(
         share = f"{int(found.flagged.sum())} of {len(found.epoch)} epochs from {first} on"
         Reporter().say(f"hapslam: note: the run doubts itself in {share}; so does this twin")
     built = build_twin(found, measured)
-    plan = refined(twin_plan(built, out.stem[:100], _radio(measured), agent_height), built, measured)
+    plan = refined(twin_plan(built, out.stem[:100], passive_link(measured), agent_height), built, measured)
     save_floorplan(plan, out)
     facts = _facts(plan, out)
     if picture is not None:
@@ -143,18 +142,6 @@ def predict(
         "paths": path_lists(channels, names),
     }
     write_text(json.dumps(document, allow_nan=False) + "\n", out)
-
-
-def _radio(measured: MeasurementSet) -> Radio:
-    """The passive link that the measurements name; the default at their carrier where they name none."""
-    from raytrace.plan.links import Radio
-
-    stated = measured.settings.get("radio")
-    fields = {"carrier_hz": measured.carrier_hz}
-    if isinstance(stated, dict):
-        known = ("subcarrier_spacing_hz", "subcarriers", "comb", "symbols", "eirp_dbm", "noise_figure_db")
-        fields |= {name: stated[name] for name in known if name in stated}
-    return Radio.model_validate(fields)
 
 
 def _mapped_frame(result: Path, found: SlamResult, truth: Path | None) -> tuple[np.ndarray[Any, Any], float]:

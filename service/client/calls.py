@@ -129,6 +129,11 @@ class Client:
         """Walls, anchors, agent and track."""
         return self.request("GET", f"/v1/sessions/{session}/map", params=_given(epoch=epoch))
 
+    def twin(self, session: str, agent_height_m: float = 1.5) -> str:
+        """The map as a floor plan, TOML."""
+        given = {"agent_height_m": agent_height_m}
+        return self._send("GET", f"/v1/sessions/{session}/twin", params=given).text
+
     def smoothed(self, session: str, lag: int = 0) -> dict[str, Any]:
         """Track and map given all measurements so far; ``lag`` epochs ahead if not 0."""
         return self.request("GET", f"/v1/sessions/{session}/smoothed", params={"lag": lag})

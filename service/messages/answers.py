@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.messages.session_requests import SessionRequest, StartFrame
 
 __all__ = [
+    "Coverage",
     "EpochsAnswer",
     "Job",
     "JobList",
@@ -224,6 +225,19 @@ class Map(Answer):
     anchors: list[MapAnchor] | None = None
     walls: list[MapWall] | None = None
     track_m: Matrix | None = None
+
+
+class Coverage(Answer):
+    """Predicted coverage on a grid, estimator's frame."""
+
+    frame: Literal["estimator"]
+    step_m: float
+    x_m: list[float]
+    y_m: list[float]
+    gain_db: list[list[float | None]] = Field(
+        description="A row for each y: power of all paths of the strongest anchor over its EIRP, dB; "
+        "null outside."
+    )
 
 
 class Smoothed(Answer):

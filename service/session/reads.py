@@ -37,6 +37,7 @@ __all__ = [
     "MapRead",
     "MeasurementsRead",
     "PictureRead",
+    "Read",
     "SmoothRead",
     "TrackRead",
 ]
@@ -64,7 +65,7 @@ _COLUMNS = (
 
 
 @dataclass(frozen=True)
-class _Read:
+class Read:
     """A read of one session.
 
     Parameters
@@ -90,7 +91,7 @@ class _Read:
 
 
 @dataclass(frozen=True)
-class TrackRead(_Read):
+class TrackRead(Read):
     """The track as columns of equal length, JSON."""
 
     first: int
@@ -104,7 +105,7 @@ class TrackRead(_Read):
 
 
 @dataclass(frozen=True)
-class MapRead(_Read):
+class MapRead(Read):
     """The map at an epoch, JSON."""
 
     epoch: int
@@ -118,7 +119,7 @@ class MapRead(_Read):
 
 
 @dataclass(frozen=True)
-class PictureRead(_Read):
+class PictureRead(Read):
     """The map at an epoch as a picture."""
 
     epoch: int
@@ -130,7 +131,7 @@ class PictureRead(_Read):
 
 
 @dataclass(frozen=True)
-class ExportRead(_Read):
+class ExportRead(Read):
     """All estimates as a file."""
 
     format: ExportFormat
@@ -150,7 +151,7 @@ class ExportRead(_Read):
 
 
 @dataclass(frozen=True)
-class MeasurementsRead(_Read):
+class MeasurementsRead(Read):
     """The measurement log as a file."""
 
     def look(self, store: Store, row: Row[Any], connection: Connection) -> bytes:
@@ -159,7 +160,7 @@ class MeasurementsRead(_Read):
 
 
 @dataclass(frozen=True)
-class SmoothRead(_Read):
+class SmoothRead(Read):
     """The run smoothed, JSON."""
 
     lag: int

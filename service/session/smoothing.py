@@ -17,7 +17,7 @@ from service.messages.documents import dump, read_epoch, read_sweep
 from service.session.fold import measurement_set
 from service.session.results import map_document
 
-__all__ = ["smoothed_document"]
+__all__ = ["explained", "smoothed_document"]
 
 
 @one_blas_thread()
@@ -48,13 +48,13 @@ def smoothed_document(
     config = json.loads(config_text)
     walls = [wall for text in sweeps for wall in read_sweep(text)]
     measurements = replace(measurement_set(config, walls), epochs=tuple(read_epoch(text) for text in epochs))
-    with _explained():
+    with explained():
         smoothed = refine(measurements, result, config=RefineConfig(lag=lag))
         return dump(_document(smoothed, config["start_frame"]))
 
 
 @contextmanager
-def _explained() -> Iterator[None]:
+def explained() -> Iterator[None]:
     """Numerical failures as what they are to a client: measurements that do not suffice."""
     try:
         yield

@@ -190,6 +190,7 @@ export class MapView {
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
     c.lineJoin = c.lineCap = "round";
+    this.scene.coverage?.draw(this);
     this.grid();
     if (this.scene.showTruth && this.scene.truth) this.truth(this.scene.truth);
     if (this.scene.state) {

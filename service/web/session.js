@@ -2,6 +2,7 @@
 
 import { download, events, get } from "./api.js";
 import { Other } from "./compare.js";
+import { Coverage } from "./coverage.js";
 import { frame, norm } from "./geometry.js";
 import { MapView } from "./map.js";
 import { Plot } from "./plots.js";
@@ -29,6 +30,10 @@ export class SessionView {
     $("zoom-out").onclick = () => this.map.closer(1 / 1.4);
     $("fit").onclick = () => this.map.fitAgain();
     for (const id of ["truth", "candidates", "enlarge"]) $(id).onchange = () => this.draw();
+    $("coverage").onchange = () => this.cover().catch((error) => {
+      $("coverage").checked = false;
+      this.notice(error);
+    });
     $("slider").oninput = () => this.seek(+$("slider").value);
     $("live").onclick = () => this.goLive();
     $("play").onclick = () => this.play();
@@ -114,6 +119,21 @@ export class SessionView {
     this.changed();
   }
 
+  // What the map predicts of channels, as of the latest epoch when it was asked for; nothing if it is not wanted.
+  async cover() {
+    this.coverage = null;
+    $("coverage-legend").textContent = "predicted coverage";
+    if ($("coverage").checked) {
+      $("coverage-legend").textContent = "predicting coverage …";
+      const { path, epoch } = this;
+      const found = await get(`${path}/coverage`).finally(() => ($("coverage-legend").textContent = "predicted coverage"));
+      if (path !== this.path) return;
+      this.coverage = new Coverage(found);
+      $("coverage-legend").textContent = `${this.coverage.text} (epoch ${epoch})`;
+    }
+    this.draw();
+  }
+
   async seekOther() {
     const time_s = this.columns.time_s[this.epoch];
     if (this.other && time_s !== undefined) await this.other.seek(time_s);
@@ -122,6 +142,9 @@ export class SessionView {
   async open(id, beside) {
     this.close();
     this.other = null;
+    this.coverage = null;
+    $("coverage").checked = false;
+    $("coverage-legend").textContent = "predicted coverage";
     $("other").value = "";
     $("other-legend").hidden = true;
     this.stop = new AbortController();
@@ -179,7 +202,7 @@ export class SessionView {
     for (const [name, leaf, file] of [
       ["png", "map.png", "map.png"], ["svg", "map.svg", "map.svg"], ["geojson", "map?format=geojson", "map.geojson"],
       ["mcap", "export?format=mcap", "result.mcap"], ["tum", "export?format=tum", "track.txt"],
-      ["smoothed", "smoothed", "smoothed.json"], ["export", "export", "result.nc"], ["log", "measurements", "measurements.nc"],
+      ["smoothed", "smoothed", "smoothed.json"], ["twin", "twin", "twin.toml"], ["export", "export", "result.nc"], ["log", "measurements", "measurements.nc"],
     ]) {
       $(name).href = `${this.path}/${leaf}`;
       $(name).onclick = (event) => {
@@ -285,6 +308,7 @@ export class SessionView {
     const track = this.walked.slice(0, this.epoch + 1);
     this.map.show({
       state: this.state, track, selected: this.selected, place: this.frame.place, heading: this.frame.heading, truth: this.truth, other: this.other,
+      coverage: this.coverage,
       showTruth: $("truth").checked, showCandidates: $("candidates").checked, enlarge: +$("enlarge").value,
     });
     this.facts();

@@ -201,6 +201,35 @@ def test_things_are_selected_and_doubts_are_seen(
     browser.shot(tmp_path, "foreign")
 
 
+def test_predicted_coverage_lies_under_the_map(
+    browser: Browser, server: Server, stroll: MeasurementSet, tmp_path: Path
+) -> None:
+    """Asked for, it colours the room and says its range; put off, the map is as before."""
+    with Client(server.url) as client:
+        session = client.create_session(session_entry(stroll, name="covered"))
+        client.post_sweep(session, sweep_entry(stroll))
+        client.post_epochs(session, [epoch_entry(stroll.anchors, epoch) for epoch in stroll.epochs])
+        assert client.twin(session).startswith('format = "hapslam-floorplan"')
+    browser.ask("Page.navigate", url=f"{server.url}/#/s/{session}")
+    browser.wait_for("document.querySelectorAll('#anchors tbody tr').length === 2")
+    pixels = "map.getContext('2d').getImageData(0, 0, map.width, map.height).data"
+    coloured = (
+        f"(() => {{ const map = document.getElementById('map'), d = {pixels}; let n = 0;"
+        " for (let i = 0; i < d.length; i += 4) { const rgb = [d[i], d[i + 1], d[i + 2]];"
+        " if (d[i + 3] > 100 && Math.max(...rgb) - Math.min(...rgb) > 60) n++; }"
+        " return n / (d.length / 4); })()"
+    )
+    bare = browser.value(coloured)
+    browser.value("document.getElementById('coverage').click()")
+    browser.wait_for("document.getElementById('coverage-legend').innerText.includes('dB (bright)')")
+    assert browser.value(coloured) > bare + 0.2
+    browser.shot(tmp_path, "coverage")
+    browser.value("document.getElementById('coverage').click()")
+    browser.wait_for("document.getElementById('coverage-legend').innerText === 'predicted coverage'")
+    assert abs(browser.value(coloured) - bare) < 0.02
+    assert browser.complaints == []
+
+
 _CONTRAST = """(() => {
   const style = getComputedStyle(document.documentElement);
   const light = (name) => {

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Response
 
 from service.api.context import Context, ContextDep, SessionAccess, SessionDep
 from service.api.openapi import described
-from service.messages.answers import Map, Smoothed, State, Track
+from service.messages.answers import Coverage, Map, Smoothed, State, Track
 from service.session.reads import (
     ExportFormat,
     ExportRead,
@@ -21,6 +21,7 @@ from service.session.reads import (
 )
 from service.session.results import latest_epoch
 from service.session.tasks import Task
+from service.session.twins import CoverageRead, TwinRead
 from service.session.workers import Lane
 
 __all__ = ["router"]
@@ -35,6 +36,7 @@ _EXPORTS: dict[ExportFormat, tuple[str, str]] = {
     "mcap": ("application/octet-stream", "result.mcap"),
     "tum": ("text/plain", "track.txt"),
 }
+_TOML = "application/toml"
 _JSON, _NETCDF = "application/json", "application/x-netcdf"
 
 
@@ -79,6 +81,45 @@ async def smoothed(
     """
     task = SmoothRead(session.id, session.key_id, lag, here.settings.max_smoothed_epochs)
     return await _read(here, session, task, _JSON)
+
+
+HeightQuery = Annotated[
+    float,
+    Query(ge=0.1, le=100.0, description="Height of the agent over the floor, metres: nothing tells it."),
+]
+StepQuery = Annotated[float, Query(ge=0.05, le=100.0, description="Distance between points, metres.")]
+
+
+@router.get(
+    "/twin",
+    summary="The map as a floor plan that predicts channels",
+    response_class=Response,
+    responses={200: {"content": {_TOML: {"schema": {"type": "string"}}}}},
+)
+async def twin(session: SessionDep, here: ContextDep, agent_height_m: HeightQuery = 1.5) -> Response:
+    """The run smoothed and written down as a floor plan, with what is not known of it: see `hapslam twin`.
+
+    In the estimator's frame. `hapslam predict` and `hapslam trace` take the file.
+    """
+    limit = here.settings.max_smoothed_epochs
+    task = TwinRead(session.id, session.key_id, agent_height_m, limit)
+    return _named(await _read(here, session, task, _TOML), f"{session.id}-twin.toml")
+
+
+@router.get("/coverage", summary="Predicted coverage", response_class=Response, responses=described(Coverage))
+async def coverage(
+    session: SessionDep, here: ContextDep, step_m: StepQuery = 0.5, agent_height_m: HeightQuery = 1.5
+) -> Response:
+    """The gain of the strongest anchor that the twin predicts on a grid, in the estimator's frame."""
+    return await _read(here, session, _coverage(here, session, step_m, agent_height_m, "json"), _JSON)
+
+
+@router.get("/coverage.png", summary="Predicted coverage as PNG", response_class=Response)
+async def coverage_png(
+    session: SessionDep, here: ContextDep, step_m: StepQuery = 0.5, agent_height_m: HeightQuery = 1.5
+) -> Response:
+    """The same as a picture, with the twin's walls and anchors, and the track."""
+    return await _read(here, session, _coverage(here, session, step_m, agent_height_m, "png"), "image/png")
 
 
 @router.get("/map", summary="The map", response_class=Response, responses=described(Map))
@@ -129,6 +170,15 @@ async def measurements(session: SessionDep, here: ContextDep) -> Response:
     """The measurement log as netCDF: what ``hapslam slam`` and ``hapslam push`` read."""
     task = MeasurementsRead(session.id, session.key_id)
     return _named(await _read(here, session, task, _NETCDF), f"{session.id}-measurements.nc")
+
+
+def _coverage(
+    here: Context, session: SessionAccess, step_m: float, agent_height_m: float, form: Literal["png", "json"]
+) -> CoverageRead:
+    limits = here.settings.max_smoothed_epochs, here.settings.max_coverage_points
+    return CoverageRead(
+        session.id, session.key_id, agent_height_m, limits[0], step_m, max_points=limits[1], form=form
+    )
 
 
 async def _read(here: Context, session: SessionAccess, task: Task[Any], media_type: str) -> Response:

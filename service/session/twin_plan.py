@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from raytrace.prediction.wall_parts import WallPart
     from raytrace.propagation.slab_fit import SlabFit
 
-__all__ = ["parts_of", "refined", "twin_plan"]
+__all__ = ["parts_of", "passive_link", "refined", "twin_plan"]
 
 Array = NDArray[np.float64]
 _HEADROOM_M = 0.5  # walls are higher than the highest anchor by this, and 3 m at least
@@ -71,6 +71,18 @@ def refined(plan: FloorPlan, twin: TwinMap, measured: MeasurementSet) -> FloorPl
         if entry["wall"] in fits:
             entry["material_probabilities"] = _likely(fits[entry["wall"]][2])
     return parse_floorplan({"format": plan.format, "version": plan.version, **data}, source=plan.name)
+
+
+def passive_link(measured: MeasurementSet) -> Radio:
+    """The passive link that measurements name; the default at their carrier where they name none."""
+    from raytrace.plan.links import Radio
+
+    stated = measured.settings.get("radio")
+    fields = {"carrier_hz": measured.carrier_hz}
+    if isinstance(stated, dict):
+        known = ("subcarrier_spacing_hz", "subcarriers", "comb", "symbols", "eirp_dbm", "noise_figure_db")
+        fields |= {name: stated[name] for name in known if name in stated}
+    return Radio.model_validate(fields)
 
 
 def twin_plan(twin: TwinMap, name: str, radio: Radio, agent_height_m: float = 1.5) -> FloorPlan:
