@@ -24,7 +24,15 @@ from estimator.compiled import compiled
 from estimator.errors import InputError
 from estimator.waveform import OfdmGrid
 
-__all__ = ["ToneBlocks", "ToneCorrelator", "delay_atoms", "dirichlet", "dirichlet_at", "dirichlet_of"]
+__all__ = [
+    "ToneBlocks",
+    "ToneCorrelator",
+    "delay_atoms",
+    "dirichlet",
+    "dirichlet_at",
+    "dirichlet_of",
+    "tone_atoms",
+]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -123,6 +131,12 @@ def _dirichlet(x: Real, tones: int, values: Real) -> None:
     """Fill in the kernel (3, n)."""
     for i in range(x.size):
         values[0, i], values[1, i], values[2, i] = dirichlet_at(x[i], tones)
+
+
+def tone_atoms(turns: Real, tones: int) -> Complex:
+    """Atoms (K, N) of delays (K,) in turns."""
+    number = np.arange(tones) - 0.5 * (tones - 1)
+    return np.asarray(np.exp(-2j * np.pi * turns[:, None] * number))
 
 
 @dataclass(frozen=True, eq=False)

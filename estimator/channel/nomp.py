@@ -40,13 +40,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.arrays import AntennaArray
 from estimator.channel.atoms import atoms_of
+from estimator.channel.checks import checked_channels, checked_noise
 from estimator.channel.detection import delay_length, detection_threshold
 from estimator.channel.directions import Directions, directions
 from estimator.channel.interpolation import SpectrumPlan
 from estimator.channel.pursuit import Pursuit, covariances, pursue
 from estimator.channel.refinement import Channel, Refinement
 from estimator.channel.search import PeakSearch
-from estimator.errors import ConfigurationError, InputError
+from estimator.channel.tail import DiffuseTail
+from estimator.errors import ConfigurationError
 from estimator.waveform import SPEED_OF_LIGHT_M_S, OfdmGrid
 
 __all__ = ["DelayEstimate", "NompConfig", "NompPlan", "estimate_delays", "estimate_paths"]
@@ -129,12 +131,15 @@ class DelayEstimate:
         Variances of the delays, square seconds.
     directions : Directions or None
         Directions of arrival, in the array's frame, if the channels have an array.
+    tail : DiffuseTail or None
+        The diffuse tail, if it was estimated with the paths.
     """
 
     delay_s: Real
     gain: Complex
     variance_s2: Real
     directions: Directions | None = None
+    tail: DiffuseTail | None = None
 
     def __len__(self) -> int:
         return int(self.delay_s.size)
@@ -195,28 +200,12 @@ class NompPlan:
         InputError
             If shapes do not fit, a CFR is not finite or a variance not positive.
         """
-        channels = np.asarray(cfr, dtype=np.complex128)
         single = () if self.array is None else (self.array.elements,)
-        tail = (*single, self.grid.tones)
-        snapshots = channels.ndim == len(tail) + 2
-        if channels.shape[1 + snapshots :] != tail or 0 in channels.shape[1:]:
-            wanted = ", ".join(str(size) for size in ("n", *tail))
-            raise InputError(f"cfr: expected shape ({wanted}), got {channels.shape}")
-        if not np.all(np.isfinite(channels)):
-            place = np.argwhere(~np.isfinite(channels))[0]
-            value, row, tone = channels[tuple(place)], place[0], place[-1]
-            raise InputError(f"cfr: expected finite numbers, got {value} in row {row}, tone {tone}")
-        noise = np.asarray(noise_variance, dtype=np.float64)
-        if noise.shape not in ((), channels.shape[:1]):
-            raise InputError(
-                f"noise_variance: expected a number or shape {channels.shape[:1]}, got {noise.shape}"
-            )
-        if not np.all((noise > 0.0) & np.isfinite(noise)):
-            raise InputError(f"noise_variance: expected positive numbers, got {noise.min()}")
+        channels, snapshots = checked_channels(cfr, (*single, self.grid.tones))
+        noise = checked_noise(noise_variance, len(channels))
         count = channels.shape[1] if snapshots else 1
         data = channels.reshape(len(channels), count, self._atoms.places.shape[0], self.grid.tones)
-        variances = np.broadcast_to(noise, channels.shape[:1]).tolist()
-        return [self._one(*each, snapshots) for each in zip(data, variances, strict=True)]
+        return [self._one(*each, snapshots) for each in zip(data, noise, strict=True)]
 
     def _one(self, data: Complex, noise: float, snapshots: bool) -> DelayEstimate:
         """The paths of a channel (S, antennas, tones)."""
