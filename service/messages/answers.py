@@ -146,6 +146,9 @@ class Session(SessionRequest):
     next_sweep: int
     next_epoch: int
     time_s: float | None = Field(description="Of the last epoch.")
+    integrity: Literal["ok", "doubtful", "lost", "unknown"] | None = Field(
+        None, description="Whether the last epoch may be relied on; null before the first."
+    )
     start_frame: StartFrame | None
     warnings: list[str] = Field(default_factory=list, description="What will keep it from giving estimates.")
 

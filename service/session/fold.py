@@ -167,6 +167,7 @@ def fold(
         if state is None:
             raise ForgottenError
     rows: list[dict[str, Any]] = []
+    integrity = "unknown"
     begin = time.thread_time()  # not the clock's: on a busy machine nothing would be prompt
     try:
         if state is None:
@@ -180,6 +181,7 @@ def fold(
             begin_step(_described(epoch))
             state = engine.step(state, epoch, epoch_rng(config["seed"], epoch.index))
             estimate = engine.estimate(state)
+            integrity = estimate.integrity.state
             document = estimate_document(epoch.index, epoch.time_s, config["anchors"], estimate)
             rows.append(_row(document) | {"packed": pack_estimate(epoch.index, epoch.time_s, estimate)})
     except (ArithmeticError, np.linalg.LinAlgError, IndexError) as error:
@@ -188,7 +190,7 @@ def fold(
     sha256 = digest(snapshot)
     if cache is not None:
         cache.put(job.session_id, sha256, state)
-    return Folded(snapshot, sha256, tuple(rows), time.thread_time() - begin)
+    return Folded(snapshot, sha256, tuple(rows), time.thread_time() - begin, integrity)
 
 
 def _begins_with_a_sweep(epochs: Sequence[str]) -> bool:

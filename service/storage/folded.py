@@ -22,9 +22,12 @@ class Folded:
         A row of the table ``estimates`` for each epoch, without the session.
     processor_s : float
         Processor time that it took, seconds.
+    integrity : str
+        Whether the last epoch may be relied on: ``ok``, ``doubtful``, ``lost`` or ``unknown``.
     """
 
     snapshot: bytes
     sha256: bytes
     estimates: tuple[dict[str, Any], ...]
     processor_s: float
+    integrity: str = "unknown"

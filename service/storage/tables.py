@@ -64,6 +64,7 @@ sessions = sa.Table(
     sa.Column("revision", sa.Integer, nullable=False),  # of the log: one more with each commit
     sa.Column("made_by", sa.String(320)),  # key and Idempotency-Key of the request that made it
     sa.Column("made_from", sa.LargeBinary(32)),  # digest of that request
+    sa.Column("integrity", sa.String(8)),  # of the last epoch: ok, doubtful, lost or unknown
     sa.Index("ux_sessions_made_by", "made_by", unique=True),
 )
 

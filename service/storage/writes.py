@@ -33,7 +33,11 @@ _COUNT_ON = (
     .values(revision=sa.bindparam("new_revision"), updated_at=sa.bindparam("now"))
 )
 _MOVE_ON = {
-    "epoch": _COUNT_ON.values(next_epoch=sa.bindparam("next"), time_s=sa.bindparam("last_time_s")),
+    "epoch": _COUNT_ON.values(
+        next_epoch=sa.bindparam("next"),
+        time_s=sa.bindparam("last_time_s"),
+        integrity=sa.bindparam("last_integrity"),
+    ),
     "sweep": _COUNT_ON.values(next_sweep=sa.bindparam("next")),
 }
 _LOG, _ESTIMATES = sa.insert(measurements), sa.insert(estimates)
@@ -104,6 +108,7 @@ def apply(connection: Connection, writes: Sequence[Write]) -> None:
         }
         if write.kind == "epoch":
             moved["last_time_s"] = write.time_s
+            moved["last_integrity"] = None if write.folded is None else write.folded.integrity
         if connection.execute(_MOVE_ON[write.kind], moved).rowcount == 1:
             fresh.append(write)
         else:

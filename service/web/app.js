@@ -45,7 +45,11 @@ function row(session) {
     await send("DELETE", `/v1/sessions/${session.id}`).then(() => line.remove(), notice);
   };
   const changed = new Date(session.updated_at).toLocaleString();
-  for (const content of [link, `${session.method}, ${session.engine}`, String(session.next_epoch), changed, remove]) {
+  const integrity = document.createElement("span");
+  integrity.textContent = session.integrity ?? "–";
+  integrity.dataset.integrity = session.integrity ?? "";
+  const what = `${session.method}, ${session.engine}`;
+  for (const content of [link, what, String(session.next_epoch), integrity, changed, remove]) {
     const cell = document.createElement("td");
     cell.append(content);
     line.append(cell);

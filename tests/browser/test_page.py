@@ -175,6 +175,10 @@ def test_things_are_selected_and_doubts_are_seen(
     browser.ask("Page.navigate", url=f"{server.url}/")
     browser.wait_for("document.querySelectorAll('#sessions tr').length > 0")
     assert browser.value("document.documentElement.scrollWidth <= innerWidth")
+    assert browser.value("document.querySelector('#sessions [data-integrity]').innerText") in (
+        "ok",
+        "doubtful",
+    )
     browser.shot(tmp_path, "list")
     browser.ask("Page.navigate", url=f"{server.url}/#/s/{session}")
     browser.wait_for("document.querySelectorAll('#anchors tbody tr').length === 2")

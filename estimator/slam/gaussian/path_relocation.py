@@ -1,9 +1,10 @@
 """The agent found again by paths alone: where no sweep comes and what the paths say is not what is thought.
 
 While a run is suspect, the paths of an epoch are held now and then against all places of the mapped area, on
-a grid: each path may be the line of sight to a located anchor, a bounce off a known wall, or neither. The
-best places become hypotheses, as those of :mod:`estimator.slam.gaussian.relocation`, and the update weighs
-them against the others. Time is that of the cells times paths times walls; all three are bounded.
+a grid: each path, with its direction where it has one, may be the line of sight to a located anchor, a bounce
+off a known wall, or neither. The best places become hypotheses, as those of
+:mod:`estimator.slam.gaussian.relocation`, and the update weighs them against the others. Time is that of the
+cells times paths times walls; all three are bounded.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from estimator.compiled import compiled
 from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.relocation import Relocation, best_places, elsewhere, grid
 from estimator.slam.gaussian.state import GaussianState
+from estimator.slam.models.directions import wrapped
 from estimator.slam.models.epoch_paths import EpochPaths
-from estimator.slam.models.state_vector import FIRST_ANCHOR, PER_ANCHOR, Layout
+from estimator.slam.models.state_vector import FIRST_ANCHOR, PER_ANCHOR, THETA, Layout
 from estimator.slam.models.visibility import Visibility
 
 __all__ = ["FoundPlaces", "path_scores", "places_by_paths", "search_elsewhere"]
@@ -89,8 +91,14 @@ def path_scores(
                     length = np.sqrt(max(dx * dx + dy * dy + mean[a + 2], 0.0))
                     gap = paths.length_m[k, m] - (1.0 + mean[a + 4]) * length - mean[a + 3]
                     square = gap * gap / variance
-                    if square < _FAR:
-                        ratio += prior[f] * scale * np.exp(-0.5 * square)
+                    if square > _FAR:
+                        continue
+                    own = prior[f] * scale * np.exp(-0.5 * square)
+                    if paths.heading_held and np.isfinite(paths.azimuth_std_rad[k, m]):
+                        spread = paths.azimuth_std_rad[k, m] ** 2 + blur / (dx * dx + dy * dy + blur)
+                        off = wrapped(paths.azimuth_rad[k, m] - mean[THETA] - np.arctan2(dy, dx))
+                        own *= np.sqrt(2.0 * np.pi / spread) * np.exp(-0.5 * off * off / spread)
+                    ratio += own
                 score[cell] += np.log(ratio)
     return score
 

@@ -272,6 +272,7 @@ def session_document(row: Row[Any]) -> dict[str, Any]:
         "next_sweep": row.next_sweep,
         "next_epoch": row.next_epoch,
         "time_s": row.time_s,
+        "integrity": row.integrity,
         "warnings": _warnings(row, config),
         **config,
     }

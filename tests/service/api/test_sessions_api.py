@@ -289,3 +289,16 @@ def test_a_session_is_made_once_however_often_it_is_asked_for(
     assert len(client.get("/v1/sessions").json()["sessions"]) == 2
     assert client.post("/v1/sessions", json=make_request()).status_code == 201
     assert len(client.get("/v1/sessions").json()["sessions"]) == 3
+
+
+def test_a_list_tells_which_sessions_may_be_relied_on(
+    client: TestClient, make_session: Callable[..., str], post_epochs: Callable[..., Any]
+) -> None:
+    """Each session says what its last epoch is worth; a new one says nothing."""
+    walked, new = make_session(), make_session()
+    post_epochs(walked, 0, 40)
+    listed = {session["id"]: session for session in client.get("/v1/sessions").json()["sessions"]}
+    state = client.get(f"{walked}/state").json()["integrity"]["state"]
+    assert listed[walked.rpartition("/")[2]]["integrity"] == state != "unknown"
+    assert listed[new.rpartition("/")[2]]["integrity"] is None
+    assert client.get(walked).json()["integrity"] == state

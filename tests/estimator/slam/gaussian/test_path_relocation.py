@@ -13,6 +13,7 @@ from estimator.slam.gaussian.config import GaussianConfig
 from estimator.slam.gaussian.path_relocation import path_scores, places_by_paths
 from estimator.slam.gaussian.start import start
 from estimator.slam.models.epoch_paths import stack_paths
+from estimator.slam.models.state_vector import THETA
 from estimator.slam.run import run_slam
 from estimator.waveform import SPEED_OF_LIGHT_M_S
 
@@ -94,6 +95,28 @@ def test_scores_are_log_likelihood_ratios(mapped):
     variance = STD_M**2 + cell_m**2 / 6.0
     density = np.exp(-0.5 * gap**2 / variance) / np.sqrt(2.0 * np.pi * variance)
     assert score[0] == pytest.approx(np.log(1.0 + 0.9 * density / CLUTTER[0]), rel=1e-9)
+
+
+def test_directions_tell_mirrored_places_apart(mapped):
+    """Two lines of sight fit two places alike; with their directions, one, if the heading is held."""
+    layout, mean = mapped.layout, mapped.hypotheses.mean[0]
+    gauge = np.array([mean[layout.anchor_xy(k)] for k in range(2)])
+    along = (gauge[1] - gauge[0]) / np.linalg.norm(gauge[1] - gauge[0])
+    image = 2.0 * (gauge[0] - (along @ gauge[0]) * along)
+    places, none = np.array([[0.0, 0.0], image]), np.zeros(layout.slots, dtype=bool)
+    paths = heard(mapped, np.zeros(2), bounces=False)
+    bearing = np.arctan2(gauge[:, 1], gauge[:, 0])[:, None] + mean[THETA]
+    told = paths._replace(azimuth_rad=bearing, azimuth_std_rad=np.full((2, 1), 0.02))
+
+    def lead(paths):
+        located = mapped.hypotheses.located[0]
+        score = path_scores(layout, mean, none, located, places, 0.05, paths, CLUTTER, 0.9, 0.6)
+        return score[0] - score[1]
+
+    assert abs(lead(paths)) < 1e-9
+    gained = 2.0 * np.log(np.sqrt(2.0 * np.pi) / 0.02)
+    assert lead(told) > gained - 1.0
+    assert abs(lead(told._replace(heading_held=False))) < 1e-9
 
 
 def test_without_a_map_there_is_nowhere_to_look():
