@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
@@ -20,10 +20,18 @@ _EXAMPLES = (
     "  $ hapslam convert Plaza2.mat --out ranges.nc --describe\n\n"
     "  $ hapslam convert ranges.npz --known-anchors 0.5,7 --known-anchors 5.2,2.3 --start 2.1,2.2 "
     "--range-std 0.1 --region 30 --out ranges.nc\n\n"
+    "  $ hapslam convert cir.npz --format responses --anchors anchors.csv --out ranges.nc\n\n"
     "  $ hapslam slam ranges.nc --method va --out map.nc"
 )
-_SUFFIXES = {".npz": "ranges-npz", ".mat": "mat", ".csv": "csv", ".txt": "sensors"}
-_Format = Literal["ranges-npz", "csv", "mat", "sensors"]
+_SUFFIXES = {
+    ".npz": "ranges-npz",
+    ".mat": "mat",
+    ".csv": "csv",
+    ".txt": "sensors",
+    ".h5": "responses",
+    ".hdf5": "responses",
+}
+_Format = Literal["ranges-npz", "csv", "mat", "sensors", "responses"]
 _PATHS_CLUTTER = 1.0  # false ranges of an anchor and epoch, where several paths are told
 
 
@@ -32,7 +40,9 @@ def register(app: typer.Typer) -> None:
 
     @app.command(epilog=f"[bold]Examples[/]\n\n{_EXAMPLES}")
     def convert(
-        ranges: Annotated[Path, typer.Argument(help="File of ranges: .csv, .mat, .txt or .npz.")],
+        ranges: Annotated[
+            Path, typer.Argument(help="File of ranges or responses: .csv, .mat, .txt, .npz or .h5.")
+        ],
         out: Annotated[Path, typer.Option(metavar="MEASUREMENTS", help="Measurement file to write.")],
         layout: Annotated[
             _Format | None, typer.Option("--format", help="Layout of the file; by default as its name ends.")
@@ -127,7 +137,7 @@ def _layout(path: Path) -> str:
     name = path.name.removesuffix(".gz")
     if Path(name).suffix not in _SUFFIXES:
         raise ConfigurationError(
-            f"--format: expected one of {', '.join(_SUFFIXES.values())}, which {path.name} does not tell"
+            f"--format: expected one of {', '.join(get_args(_Format))}, which {path.name} does not tell"
         )
     return _SUFFIXES[Path(name).suffix]
 
@@ -141,6 +151,11 @@ def _read(path: Path, layout: str, names: tuple[str, ...], count: int, step_s: f
 
     if layout == "ranges-npz":
         return read_range_set(path, names or tuple(f"a{k + 1}" for k in range(count)), step_s)
+    if layout == "responses":
+        from estimator.channel.response_paths import ranges_of
+        from estimator.readers.response_files import read_responses
+
+        return ranges_of(read_responses(path, names or tuple(f"a{k + 1}" for k in range(count))))
     read = {"csv": read_csv, "mat": read_mat, "sensors": read_sensor_lines}[layout]
     return read(path, names)
 

@@ -14,6 +14,7 @@ from estimator.experiments.measured.responses import response_runs
 from estimator.readers.csv_ranges import read_anchors, read_csv
 from estimator.readers.mat_ranges import read_mat, read_mat_track
 from estimator.readers.range_sets import read_range_set
+from estimator.readers.response_files import read_responses
 from estimator.readers.sensor_lines import read_sensor_lines
 from estimator.readers.trajectories import read_track
 
@@ -219,6 +220,45 @@ RESPONSES = {
     "high tags": {"tags_m": np.ones((1, 3))},
 }
 
+LOG = {
+    "cir": np.ones((2, 64), dtype=complex),
+    "tap_s": 1e-9,
+    "time_s": np.arange(2.0),
+    "anchor": np.array([1, 2]),
+}
+RESPONSE_LOGS = {
+    "nothing": ({"cir": None}, "expected the array cir or cfr, got neither"),
+    "both": ({"cfr": LOG["cir"]}, "got cir and cfr"),
+    "no spacing": ({"tap_s": None}, "expected the array tap_s beside cir"),
+    "no times": ({"time_s": None}, "expected the array time_s, it is missing"),
+    "no anchors": ({"anchor": None}, "expected the array anchor, it is missing"),
+    "real": ({"cir": np.ones((2, 64))}, "expected cir as complex numbers"),
+    "words": ({"cir": np.array([["a", "b"]])}, "expected cir as complex numbers"),
+    "objects": ({"cir": np.array([[object(), None]])}, "could not read it"),
+    "three parts": ({"cir": np.ones((2, 64, 3))}, "expected cir as complex numbers"),
+    "half": ({"cir": None, "cir_re": np.ones((2, 64))}, "expected cir_re and cir_im"),
+    "parts that differ": (
+        {"cir": None, "cir_re": np.ones((2, 64)), "cir_im": np.ones((2, 63))},
+        "expected cir_re and cir_im",
+    ),
+    "flat": ({"cir": np.ones(64, dtype=complex)}, "expected cir of 2 axes"),
+    "nan": ({"cir": np.full((2, 64), np.nan + 0j)}, "finite numbers in cir, got others in row 1"),
+    "no rows": ({"cir": np.ones((0, 64), dtype=complex)}, "expected responses in cir"),
+    "one tap": ({"cir": np.ones((2, 1), dtype=complex)}, "expected responses in cir"),
+    "fewer times": ({"time_s": np.ones(1)}, "expected 2 real numbers in time_s"),
+    "infinite time": ({"time_s": np.array([0.0, np.inf])}, "finite numbers in time_s"),
+    "anchor 0": ({"anchor": np.array([0, 1])}, "expected anchor as numbers of 1 to 1"),
+    "half an anchor": ({"anchor": np.array([1.0, 1.5])}, "expected anchor as numbers of"),
+    "no step": ({"tap_s": 0.0}, "expected tap_s as one positive number"),
+    "two steps": ({"tap_s": np.ones(2)}, "expected tap_s as one positive number"),
+    "range alone": ({"range_m": np.ones(2)}, "expected first_path_tap and range_m together"),
+    "tap alone": ({"first_path_tap": np.ones(2)}, "expected first_path_tap and range_m together"),
+    "no band": ({"bandwidth_hz": -1.0}, "expected bandwidth_hz as one positive number"),
+    "calibrated taps": ({"calibration": np.ones(64, dtype=complex)}, "expected pulse beside cir"),
+    "no pulse": ({"pulse": np.zeros(4, dtype=complex)}, "that fits cir and is not 0"),
+    "noise of taps": ({"noise_variance": 1.0}, "noise_variance as positive numbers, beside cfr"),
+}
+
 
 @pytest.mark.parametrize("kind", CSV)
 def test_csv(tmp_path: Path, kind: str) -> None:
@@ -327,3 +367,28 @@ def test_responses(tmp_path: Path, kind: str) -> None:
         np.savez(tmp_path / "cir.npz", **kept)
     with pytest.raises(FileFormatError, match=r"cir.npz: expected"):
         list(response_runs(tmp_path))
+
+
+@pytest.mark.parametrize("kind", RESPONSE_LOGS)
+def test_response_logs(tmp_path: Path, kind: str) -> None:
+    """Channel responses in NumPy archives."""
+    changed, words = RESPONSE_LOGS[kind]
+    arrays = {name: array for name, array in (LOG | changed).items() if array is not None}
+    np.savez(tmp_path / "bad.npz", **arrays)
+    with pytest.raises(FileFormatError, match=words):
+        read_responses(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize("suffix", ["npz", "mat", "h5", "hdf5"])
+def test_damaged_response_logs(tmp_path: Path, suffix: str) -> None:
+    """No file, a folder, half a file, noise: one kind of error."""
+    np.savez(tmp_path / "whole.npz", **LOG)
+    whole = (tmp_path / "whole.npz").read_bytes()
+    (tmp_path / f"half.{suffix}").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / f"noise.{suffix}").write_bytes(np.random.default_rng(1).bytes(5000))
+    (tmp_path / f"folder.{suffix}").mkdir()
+    with (tmp_path / f"bare.{suffix}").open("wb") as file:
+        np.save(file, LOG["cir"])
+    for name in ("none", "half", "noise", "folder", "bare"):
+        with pytest.raises(FileFormatError, match=r"expected"):
+            read_responses(tmp_path / f"{name}.{suffix}")
