@@ -20,6 +20,7 @@ _EXAMPLES = (
     "  $ hapslam convert Plaza2.mat --out ranges.nc --describe\n\n"
     "  $ hapslam convert ranges.npz --known-anchors 0.5,7 --known-anchors 5.2,2.3 --start 2.1,2.2 "
     "--range-std 0.1 --region 30 --out ranges.nc\n\n"
+    "  $ hapslam convert ranges.csv --anchors anchors.csv --odometry odometry.tum --out ranges.nc\n\n"
     "  $ hapslam convert cir.npz --format responses --anchors anchors.csv --out ranges.nc\n\n"
     "  $ hapslam slam ranges.nc --method va --out map.nc"
 )
@@ -75,6 +76,18 @@ def register(app: typer.Typer) -> None:
         start_std: Annotated[
             float | None, typer.Option(help="How well that is known, per axis, metres; 0 by default.")
         ] = None,
+        odometry: Annotated[
+            Path | None,
+            typer.Option(
+                metavar="FILE", help="Odometry as a trajectory: TUM, or columns time, x, y, heading_deg."
+            ),
+        ] = None,
+        heading: Annotated[
+            float | None,
+            typer.Option(
+                help="With odometry: where the body looks at the start, degrees; by default as ranges tell."
+            ),
+        ] = None,
         step: Annotated[float, typer.Option(help="Time between epochs of ranges-npz, seconds.")] = 1.0,
         velocity_std: Annotated[
             float | None, typer.Option(help="Unknown initial velocity, per axis, m/s.")
@@ -126,6 +139,13 @@ def register(app: typer.Typer) -> None:
             calibrated=calibrated,
             model=model,
         )
+        if odometry is not None:
+            from estimator.readers.odometry_tracks import read_poses, with_odometry
+
+            told = None if heading is None else float(np.radians(heading))
+            measured = with_odometry(measured, read_poses(odometry), told)
+        elif heading is not None:
+            raise ConfigurationError("--heading: expected --odometry beside it")
         config_for(measured)  # complains of values out of range
         save_measurements(measured, out)
         if describe:
