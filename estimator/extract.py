@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import AntennaArray, BeamSet, UniformLinearArray, UniformPlanarArray
+from estimator.channel.diffuse import DiffuseConfig, DiffusePlan
 from estimator.channel.nomp import DelayEstimate, NompConfig, NompPlan
 from estimator.dataset import Dataset
 from estimator.errors import ConfigurationError, FileFormatError
@@ -55,11 +56,15 @@ class ExtractConfig:
         Walls from the beam sweep.
     batch : int
         Channels estimated together; about 64 is fastest.
+    diffuse : DiffuseConfig, optional
+        Delays with the diffuse tail of each channel instead, of one antenna and one snapshot: for measured
+        channels.
     """
 
     nomp: NompConfig = field(default_factory=NompConfig)
     flash: FlashConfig = field(default_factory=FlashConfig)
     batch: int = 64
+    diffuse: DiffuseConfig | None = None
 
     def __post_init__(self) -> None:
         if self.batch < 1:
@@ -100,7 +105,7 @@ def extract(
     settings = ExtractConfig() if config is None else config
     radio = _section(dataset.manifest, "radio")
     sweeps = sense_sweeps(dataset, settings.flash, progress, parts)
-    epochs = extract_epochs(dataset, settings.nomp, settings.batch, progress, parts)
+    epochs = extract_epochs(dataset, settings.nomp, settings.batch, progress, parts, settings.diffuse)
     strayed = sweeps.keys() - {epoch.index for epoch in epochs}
     if strayed:
         raise FileFormatError(
@@ -135,6 +140,7 @@ def extract_epochs(
     batch: int = 64,
     progress: Progress | None = None,
     parts: Parts | None = None,
+    diffuse: DiffuseConfig | None = None,
 ) -> tuple[Epoch, ...]:
     """Delays of all anchors in all epochs, and directions of arrival where the agent's array tells them.
 
@@ -143,7 +149,12 @@ def extract_epochs(
     """
     radio = _section(dataset.manifest, "radio")
     array = _agent_array(radio)
-    plan = NompPlan(_grid(radio, "radio"), config, array)
+    grid = _grid(radio, "radio")
+    plan = NompPlan(grid, config, array) if diffuse is None else DiffusePlan(grid, diffuse)
+    if diffuse is not None and array is not None:
+        raise ConfigurationError(
+            f"diffuse: expected channels of one antenna, to estimate a tail, got {array.elements}"
+        )
     antennas = 1 if array is None else array.elements
     heading_held = radio.get("agent_array", {}).get("orientation", "fixed") == "fixed"
     batch = max(min(batch, _LEAST_BATCH), batch // antennas)
@@ -163,6 +174,10 @@ def extract_epochs(
             )
         estimates: list[DelayEstimate] = []
         rows = cfr.reshape(-1, *(cfr.shape[2:] if array is not None else cfr[:, :, :, 0].shape[2:]))
+        if diffuse is not None:
+            if rows.shape[1] != 1:
+                raise ConfigurationError(f"diffuse: expected one snapshot of a channel, got {rows.shape[1]}")
+            rows = rows[:, 0]
         for start in range(0, len(rows), batch):
             estimates += plan.estimate(rows[start : start + batch], noise_variance)
             if progress is not None:

@@ -49,7 +49,12 @@ _PACKAGES = ("hapslam", "numpy", "scipy", "xarray", "h5netcdf")
 
 
 def extract_file(
-    dataset: Path, out: Path, progress: Progress | None = None, resume: bool = False, period_s: float = 30.0
+    dataset: Path,
+    out: Path,
+    progress: Progress | None = None,
+    resume: bool = False,
+    period_s: float = 30.0,
+    diffuse_tail: bool = False,
 ) -> None:
     """Estimate delays and walls from a dataset; write a measurement file.
 
@@ -65,17 +70,23 @@ def extract_file(
         Go on with what an interrupted run left beside ``out``; begin if there is nothing.
     period_s : float
         What is done is kept as often, seconds.
+    diffuse_tail : bool
+        Estimate delays with the diffuse tail of each channel: for measured channels of one antenna.
 
     Raises
     ------
+    ConfigurationError
+        If there is a tail to estimate and channels are of several antennas or snapshots.
     OutputExistsError
         If ``out`` exists, or an interrupted run left parts that are not to be taken up; nothing is done then.
     FileFormatError
         If the dataset is missing, incomplete or damaged, or the parts are of other work.
     """
+    from estimator.channel.diffuse import DiffuseConfig
     from estimator.extract import ExtractConfig, extract
 
-    opened, config = open_dataset(dataset), ExtractConfig()
+    opened = open_dataset(dataset)
+    config = ExtractConfig(diffuse=DiffuseConfig() if diffuse_tail else None)
     work = {"dataset": digest_of(opened.path / MANIFEST), "extract": asdict(config)}
     parts = Parts(out, work, resume, period_s)
     if parts.finished(out):

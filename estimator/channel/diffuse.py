@@ -4,7 +4,7 @@ Where specular paths are followed by a tail of more paths than can be told apart
 white noise alone takes the tail apart into pairs of nearly cancelling paths. Here tail, noise floor and paths
 are estimated together (:mod:`estimator.channel.tail_pursuit`), of one antenna and one snapshot. A path is
 reported if it stands out of the tail at the false-alarm rate of :mod:`estimator.channel.detection`, and the
-first one always where anything stands out of the noise: all that arrives came after it. Variances are
+first strong one always where anything stands out of the noise: the tail came after it. Variances are
 Cramer-Rao bounds in the noise that the tail is, and a floor.
 
 What the model cannot tell apart it takes for the tail: several paths of like strength and decaying may
@@ -42,6 +42,9 @@ class DiffuseConfig:
         Probability that tail and noise alone give a further path, per CFR over all delays.
     dynamic_range_db : float
         Paths weaker than the strongest by more are not sought.
+    forerunner_db : float
+        The tail begins no sooner than the first path that is weaker than the strongest by no more: what
+        leaks ahead of a pulse is weaker. That path is always reported.
     max_paths : int
         Largest number of paths of a CFR.
     closest_cells : float
@@ -59,6 +62,7 @@ class DiffuseConfig:
 
     false_alarm: float = 0.01
     dynamic_range_db: float = 30.0
+    forerunner_db: float = 20.0
     max_paths: int = 40
     closest_cells: float = 0.5
     floor_m: float = 0.03
@@ -70,7 +74,7 @@ class DiffuseConfig:
     def __post_init__(self) -> None:
         if not 0.0 < self.false_alarm <= 0.5:
             raise ConfigurationError(f"false_alarm: expected a number in (0, 0.5], got {self.false_alarm}")
-        for name in ("dynamic_range_db", "floor_m", "closest_cells"):
+        for name in ("dynamic_range_db", "forerunner_db", "floor_m", "closest_cells"):
             value = getattr(self, name)
             if not 0.0 <= value < np.inf:
                 raise ConfigurationError(f"{name}: expected 0 or a positive number, got {value}")
@@ -105,6 +109,7 @@ class DiffusePlan:
         self._settings = TailPursuit(
             threshold=detection_threshold(self.config.false_alarm, delay_length(grid.tones)),
             range_ratio=10.0 ** (-0.1 * self.config.dynamic_range_db),
+            forerunner_ratio=10.0 ** (-0.1 * self.config.forerunner_db),
             max_paths=self.config.max_paths,
             oversampling=self.config.oversampling,
             polish_steps=self.config.polish_steps,

@@ -38,6 +38,8 @@ class TailPursuit:
         Significance of a path.
     range_ratio : float
         Least power of a path over that of the strongest.
+    forerunner_ratio : float
+        Least power, over that of the strongest, of the path with which the tail begins.
     max_paths : int
         Largest number of paths.
     oversampling : int
@@ -52,6 +54,7 @@ class TailPursuit:
 
     threshold: float
     range_ratio: float
+    forerunner_ratio: float
     max_paths: int
     oversampling: int
     polish_steps: int
@@ -106,7 +109,7 @@ def pursue_in_tail(cfr: Complex, noise: float | None, settings: TailPursuit) -> 
         found, fit, column = _refit(cfr, np.append(found.turns, place), column, noise, fit, settings)
     while len(found.turns) > 1:
         significance = found.significance.copy()
-        significance[_first(found.turns)] = np.inf
+        significance[_lead(found.turns, found.gain, tones, settings.forerunner_ratio)] = np.inf
         significance[_crowded(found, settings.limits.closest_cells / tones)] = 0.0
         weakest = int(np.argmin(significance))
         if significance[weakest] >= settings.threshold:
@@ -114,7 +117,7 @@ def pursue_in_tail(cfr: Complex, noise: float | None, settings: TailPursuit) -> 
         found, fit, column = _refit(cfr, np.delete(found.turns, weakest), column, noise, fit, settings)
     if fit is None:
         return TailPaths(found.turns, found.gain, np.zeros(0), TailProfile(column[0].real))
-    held = _first(found.turns) if fit.tied else -1
+    held = _lead(found.turns, found.gain, tones, settings.forerunner_ratio) if fit.tied else -1
     found = refine(cfr, found.turns, column, settings.final_steps, settings.limits, held)
     variance = 0.5 * np.diag(np.linalg.pinv(found.information, hermitian=True))
     return TailPaths(found.turns, found.gain, variance, fit.profile)
@@ -130,7 +133,7 @@ def _refit(
 ) -> tuple[ColouredFit, TailFit, Complex]:
     """Paths refined in the tail, the tail fitted to what they leave, and the paths once more."""
     found = refine(cfr, turns, column, settings.polish_steps, settings.limits)
-    first = _first(found.turns)
+    first = _lead(found.turns, found.gain, len(cfr), settings.forerunner_ratio)
     profile = None if fit is None else fit.profile
     fit = fit_tail(cfr, found.turns, first, noise, settings.tail, profile)
     column = tail_column(fit.profile, len(cfr))
@@ -140,13 +143,12 @@ def _refit(
     return refine(cfr, turns, column, settings.polish_steps, settings.limits, held), fit, column
 
 
-def _first(turns: Real) -> int:
-    """The path that comes first after the longest gap around the turn."""
-    order = np.argsort(turns - np.floor(turns))
-    placed = (turns - np.floor(turns))[order]
-    gap = placed - np.roll(placed, 1)
-    gap[0] += 1.0
-    return int(order[np.argmax(gap)])
+def _lead(turns: Real, gain: Complex, tones: int, forerunner_ratio: float) -> int:
+    """The path with which the tail begins: the first one that is no forerunner of a much stronger one."""
+    power = np.abs(gain) ** 2
+    since = turns + 1.0 / tones  # a delay just below 0 is no late one
+    since = np.where(power >= forerunner_ratio * np.max(power), since - np.floor(since), np.inf)
+    return int(np.argmin(since))
 
 
 def _crowded(found: ColouredFit, closest: float) -> NDArray[np.bool_]:

@@ -144,6 +144,12 @@ def extract(
             metavar="MEASUREMENTS", help="Measurement file to write (netCDF).", callback=made_parents
         ),
     ],
+    diffuse_tail: Annotated[
+        bool,
+        typer.Option(
+            "--diffuse-tail", help="Estimate a diffuse tail with the delays: measured channels, one antenna."
+        ),
+    ] = False,
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
@@ -151,7 +157,7 @@ def extract(
     from estimator.pipeline import extract_file
 
     with Reporter(quiet).stage("extract") as advance:
-        extract_file(dataset, out, advance, resume)
+        extract_file(dataset, out, advance, resume, diffuse_tail=diffuse_tail)
 
 
 @app.command(

@@ -14,6 +14,7 @@ import xarray as xr
 from scipy.optimize import linear_sum_assignment
 
 from estimator.arrays import BeamSet
+from estimator.channel.diffuse import DiffuseConfig
 from estimator.channel.model import delay_atoms
 from estimator.channel.nomp import NompConfig
 from estimator.dataset import Dataset, DatasetWriter, open_dataset
@@ -350,6 +351,35 @@ def test_snapshots_and_antennas_of_anchors_are_used_together(make: Callable[...,
         assert len(epoch.paths[0]) == 1
         assert abs(epoch.paths[0].delay_s[0] - 1e-7) < 4.0 * epoch.paths[0].delay_std_s[0]
         assert epoch.paths[0].gain_db[0] == pytest.approx(-80.0, abs=2.0)
+
+
+def test_a_diffuse_tail_is_no_crowd_of_paths(make: Callable[..., Dataset]) -> None:
+    """A path before a dense tail: with the tail estimated one path is left of many; settings are recorded."""
+    rng = np.random.default_rng(35)
+    late, channels = np.linspace(0.0, 4e-7, 1600), []
+    level = 2e-6 * np.exp(-0.5 * late / 6e-8)
+    for _ in range(2):
+        gain = level * (rng.normal(size=len(late)) + 1j * rng.normal(size=len(late)))
+        channels.append(1e-4 * delay_atoms(GRID, np.array(1e-7)) + gain @ delay_atoms(GRID, 1e-7 + late))
+    cfr = add_noise(np.array(channels)[:, None, None], 1e-13, rng)
+    dataset = make(passive=passive_shard(cfr, ["a"]), manifest={"radio": signal(GRID, 1e-13)})
+    white, tailed = extract(dataset), extract(dataset, ExtractConfig(diffuse=DiffuseConfig()))
+    for crowd, alone in zip(white.epochs, tailed.epochs, strict=True):
+        assert len(crowd.paths[0]) >= 4
+        assert len(alone.paths[0]) <= 2
+        nearest = np.min(np.abs(alone.paths[0].delay_s - 1e-7))
+        assert nearest < 4.0 * np.min(alone.paths[0].delay_std_s)
+    assert tailed.settings["extract"]["diffuse"]["closest_cells"] == 0.5
+
+
+def test_tails_of_snapshots_are_refused(make: Callable[..., Dataset]) -> None:
+    """A tail is estimated of one snapshot; what came is said."""
+    dims = ("epoch", "anchor", "snapshot", "antenna", "tone")
+    shard = passive_shard(np.zeros((2, 1, 1, GRID.tones)), ["a"]).drop_vars(("cfr_re", "cfr_im"))
+    looks = np.ones((2, 1, 3, 1, GRID.tones), dtype=np.float32)
+    shard = shard.assign(cfr_re=(dims, looks), cfr_im=(dims, looks))
+    with pytest.raises(ConfigurationError, match="expected one snapshot of a channel, got 3"):
+        extract(make(passive=shard), ExtractConfig(diffuse=DiffuseConfig()))
 
 
 def test_a_dataset_without_a_sweep_has_no_walls(make: Callable[..., Dataset]) -> None:

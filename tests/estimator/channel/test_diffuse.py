@@ -102,6 +102,19 @@ def test_one_path_alone_is_that_of_white_noise() -> None:
     assert abs(np.mean(normalised) - 1.0) < 4.0 * np.std(normalised) / np.sqrt(runs) + 0.05
 
 
+def test_a_late_false_alarm_does_not_take_the_tail() -> None:
+    """A weak path in the noise behind the tail, nearer to the next turn's: the strong first one stays."""
+    rng, runs = np.random.default_rng([SEED, 8]), 100
+    profile = TailProfile(1.0, 100.0, 0.0, 6.0 / TONES)
+    cfr, _ = channels(rng, runs, profile, 10.0, np.full(runs, 10.0 * CELL_S))
+    cfr += 1.0 * tone_atoms(np.array([50.0 / TONES]), TONES)[0]
+    found = DiffusePlan(GRID).estimate(cfr, 1.0)
+    near = [np.min(np.abs(e.delay_s / CELL_S - 10.0)) < 0.5 for e in found]
+    assert np.mean(near) == 1.0
+    late = [np.min(np.abs(e.delay_s / CELL_S - 50.0)) < 0.5 for e in found]
+    assert np.mean(late) > 0.9
+
+
 def test_gains_of_given_delays_are_weighted_least_squares() -> None:
     """Against the dense normal equations; the significance is what a path's removal costs."""
     rng = np.random.default_rng([SEED, 5])
@@ -168,7 +181,15 @@ def test_mistakes_are_told() -> None:
         plan.estimate(np.ones((1, TONES)), 0.0)
     with pytest.raises(ConfigurationError, match="at least 16 tones"):
         DiffusePlan(OfdmGrid(6e9, 1e6, 8))
-    for name in ("false_alarm", "dynamic_range_db", "floor_m", "closest_cells", "max_paths", "oversampling"):
+    for name in (
+        "false_alarm",
+        "dynamic_range_db",
+        "forerunner_db",
+        "floor_m",
+        "closest_cells",
+        "max_paths",
+        "oversampling",
+    ):
         with pytest.raises(ConfigurationError, match=name):
             DiffuseConfig(**{name: -1})
     for name in ("evidence", "onset_evidence", "shortest_cells", "longest_turns", "tolerance", "steps"):

@@ -9,11 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import scipy.io
 import tomli_w
 
 from estimator.dataset import open_dataset
+from estimator.measurement_files import load_measurements
 from raytrace.plan.files import load_floorplan, updated
 from service.cli import main as cli
 
@@ -205,6 +207,18 @@ def test_an_interrupted_dataset_is_mentioned(main: Runner, plan_file: Path, trac
     assert "--resume goes on with it" in run.err
     assert main("trace", plan_file, "--out", traced, *options, "--resume").status == 0
     assert files(traced) == whole
+
+
+def test_extract_with_tails_records_it(main: Runner, traced: Path, tmp_path: Path) -> None:
+    """With --diffuse-tail delays are other ones, and the settings say with what tail."""
+    found = {}
+    for name, options in (("white", ()), ("tailed", ("--diffuse-tail",))):
+        assert main("extract", traced, "--out", tmp_path / f"{name}.nc", "--quiet", *options).status == 0
+        found[name] = load_measurements(tmp_path / f"{name}.nc")
+    assert found["white"].settings["extract"]["diffuse"] is None
+    assert found["tailed"].settings["extract"]["diffuse"]["tail"]["evidence"] > 0.0
+    first = [each.epochs[0].paths[0].delay_s for each in found.values()]
+    np.testing.assert_allclose(first[0][0], first[1][0], atol=1e-9)
 
 
 def test_extract_reads_shards_one_by_one(main: Runner, traced: Path, tmp_path: Path) -> None:
