@@ -7,6 +7,9 @@ reported if it stands out of the tail at the false-alarm rate of :mod:`estimator
 first strong one always where anything stands out of the noise: the tail came after it. Variances are
 Cramer-Rao bounds in the noise that the tail is, and a floor.
 
+A path with which the tail begins is at the bound given the tail. Where the tail begins some cells later, the
+gap is known only roughly, and at high SNR the error is several times a bound that is told the gap.
+
 What the model cannot tell apart it takes for the tail: several paths of like strength and decaying may
 be drawn from one. Of channels of a few paths and no tail, :mod:`estimator.channel.nomp` finds more.
 """
