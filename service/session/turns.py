@@ -35,10 +35,14 @@ class TurnRules:
         Requests of a key that may wait; more are told to come again.
     longest_wait_s : float
         How long a request waits before it is told to come again, seconds.
+    longest_overtaken_s : float
+        How long a request lets others of its key pass whose worker is free, seconds: a session's state
+        is in the memory of the worker that it had before, and reading it anew costs as much as a step.
     """
 
     max_waiting: int
     longest_wait_s: float
+    longest_overtaken_s: float = 1.0
 
 
 class Quota:
@@ -81,6 +85,7 @@ class Quota:
 class _Waiter(Generic[W]):
     session: str
     granted: asyncio.Future[W]
+    since: float
 
 
 @dataclass
@@ -144,7 +149,7 @@ class Turns(Generic[W]):
             raise BusyError(
                 f"expected a free worker, {len(standing.waiting)} requests of this key wait already"
             )
-        waiter: _Waiter[W] = _Waiter(session, asyncio.get_running_loop().create_future())
+        waiter: _Waiter[W] = _Waiter(session, asyncio.get_running_loop().create_future(), standing.seen)
         standing.waiting.append(waiter)
         self._grant()
         try:
@@ -182,7 +187,8 @@ class Turns(Generic[W]):
             if key not in self._keys or not self._may(key):
                 return
             standing = self._keys[key]
-            waiter = standing.waiting.popleft()
+            waiter = self._next(standing.waiting)
+            standing.waiting.remove(waiter)
             if waiter.granted.done():  # withdrawn
                 continue
             standing.running += 1
@@ -196,6 +202,17 @@ class Turns(Generic[W]):
             return False
         alone = len(self._keys) == 1
         return alone or standing.running < max(1, self._count - 1)
+
+    def _next(self, waiting: deque[_Waiter[W]]) -> _Waiter[W]:
+        """The first that finds its state in a free worker, or may take any; the first, if there is none."""
+        first = waiting[0]
+        if time.monotonic() - first.since > self._rules.longest_overtaken_s:
+            return first
+        return next((waiter for waiter in waiting if self._at_home(waiter.session)), first)
+
+    def _at_home(self, session: str) -> bool:
+        last = self._last.get(session)
+        return last is None or last in self._free
 
     def _choose(self, session: str) -> W:
         """A free worker: the one that had the session before, or the one that has been idle longest."""

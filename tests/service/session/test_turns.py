@@ -81,6 +81,33 @@ def test_a_session_goes_to_the_worker_that_remembers_it() -> None:
     _run(play)
 
 
+def test_a_free_worker_takes_the_session_that_it_remembers_first() -> None:
+    """Of those who wait, whoever has their state in the free worker goes first; none is overtaken for long."""
+
+    async def served(longest_overtaken_s: float) -> list[str]:
+        turns = Turns(["v", "w"], TurnRules(3, 5.0, longest_overtaken_s))
+        held = {session: await turns.take("a", session) for session in ("one", "two")}
+        order = list[str]()
+
+        async def ask(session: str) -> None:
+            worker = await turns.take("a", session)
+            order.append(session)
+            turns.give_back(worker, "a")
+
+        asked = [asyncio.create_task(ask(session)) for session in ("one", "two")]
+        await asyncio.sleep(0.02)
+        turns.give_back(held["two"], "a")
+        await asyncio.gather(*asked)
+        turns.give_back(held["one"], "a")
+        return order
+
+    async def play() -> None:
+        assert await served(longest_overtaken_s=5.0) == ["two", "one"]
+        assert await served(longest_overtaken_s=0.01) == ["one", "two"]
+
+    _run(play)
+
+
 def test_as_many_wait_as_may_and_not_for_ever() -> None:
     """One more than may wait is told to come again, and so is who waited too long; nothing is lost."""
 
