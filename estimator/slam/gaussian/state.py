@@ -196,7 +196,7 @@ _SCALARS = (
 
 
 def save_state(state: GaussianState) -> bytes:
-    """The state as bytes (an npz archive without pickles); equal states give equal bytes."""
+    """The state as bytes (without pickles); equal states give equal bytes."""
     columns: dict[str, Any] = {
         name: getattr(state, name) for name in (*_SCALARS, "echo_residuals", "losses_db", "anchor_names")
     }

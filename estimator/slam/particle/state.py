@@ -120,7 +120,7 @@ _ARRAYS = ("agent", "located", "sight")
 
 
 def save_particle_state(state: ParticleState) -> bytes:
-    """The state as bytes (an npz archive without pickles); equal states give equal bytes."""
+    """The state as bytes (without pickles); equal states give equal bytes."""
     features = state.features
     columns = {name: getattr(state, name) for name in (*_SCALARS, *_ARRAYS, "anchor_names")}
     columns |= {f"features.{name}": getattr(features, name) for name in COLUMNS}

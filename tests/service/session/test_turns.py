@@ -82,7 +82,7 @@ def test_a_session_goes_to_the_worker_that_remembers_it() -> None:
 
 
 def test_a_free_worker_takes_the_session_that_it_remembers_first() -> None:
-    """Of those who wait, whoever has their state in the free worker goes first; none is overtaken for long."""
+    """Whoever has their state in the free worker goes first; none is overtaken for long."""
 
     async def served(longest_overtaken_s: float) -> list[str]:
         turns = Turns(["v", "w"], TurnRules(3, 5.0, longest_overtaken_s))
