@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import time
 from dataclasses import dataclass, field
 from typing import Any
@@ -36,12 +37,15 @@ class LoadConfig:
         Epochs a second of all sessions together; 0 for as many as can be.
     workers : int
         Processes that step sessions.
+    most_hz : float
+        Epochs a second that there are sessions for; who has sent them all is done.
     """
 
     sessions: int = 50
     seconds: float = 60.0
     rate_hz: float = 160.0
     workers: int = 2
+    most_hz: float = 1000.0
 
 
 @dataclass
@@ -80,7 +84,8 @@ def _load(config: LoadConfig, port: int) -> dict[str, Any]:
     shipped = example(1)
     bodies = [json.dumps({"epochs": [epoch]}).encode() for epoch in shipped["epochs"]]
     with Client(f"http://127.0.0.1:{port}") as client:
-        rounds = 1 + int(max(config.rate_hz, 400.0) * config.seconds / (config.sessions * len(bodies)))
+        most = max(config.rate_hz, config.most_hz) * config.seconds
+        rounds = 1 + int(most / (config.sessions * len(bodies)))
         paths = [
             [f"/v1/sessions/{_session(client, shipped)}/epochs" for _ in range(rounds)]
             for _ in range(config.sessions)
@@ -150,7 +155,8 @@ async def _sender(
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     pause = config.sessions / config.rate_hz if config.rate_hz else 0.0
     due, sent = begin + pause * number / config.sessions, 0
-    while time.perf_counter() < begin + config.seconds:
+    most = math.inf if paths is None else len(paths) * len(bodies)
+    while sent < most and time.perf_counter() < begin + config.seconds:
         await asyncio.sleep(max(0.0, due - time.perf_counter()))
         if paths is None:
             request = b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n"
