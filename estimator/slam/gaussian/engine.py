@@ -90,7 +90,7 @@ def step(
         If the epoch is not later than the state, or has another number of anchors.
     """
     _check(state, epoch)
-    place_before, std_before = _place(state.hypotheses)
+    place_before, _, spread_before = _place(state.hypotheses)
     reach_m = config.motion.fastest_m_s * (epoch.time_s - state.time_s if state.epoch >= 0 else 0.0)
     phase = phase_of(
         state.buffer.epochs,
@@ -134,19 +134,22 @@ def step(
     state = _live_on(state.but(hypotheses=reduced), config, phase)
     if state.shared:
         state = survey(state, predicted.hypotheses, move, paths, config, config.search)
-    place, std = _place(state.hypotheses)
+    place, std, spread = _place(state.hypotheses)
     jump_m = float(np.linalg.norm(place - place_before))
-    if jump_m < reach_m + config.integrity.jump_sigma * (std_before + std):
+    if jump_m < reach_m + config.integrity.jump_sigma * (spread_before + spread):
         jump_m = 0.0
     untold = state.epoch - max(state.swept_epoch, state.tracked_epoch)
     indicators = with_epoch(state.indicators, *signs, std, jump_m, untold, config.integrity, regained)
     return state.but(indicators=indicators)
 
 
-def _place(hypotheses: Hypotheses) -> tuple[Array, float]:
-    """Where the agent of the likeliest hypothesis is, and its standard deviation, metres."""
+def _place(hypotheses: Hypotheses) -> tuple[Array, float, float]:
+    """Where the agent of the likeliest hypothesis is, its standard deviation, and that of all; metres."""
     best = hypotheses.best
-    return hypotheses.mean[best, :2], float(np.sqrt(np.trace(hypotheses.covariance[best, :2, :2])))
+    place, own = hypotheses.mean[best, :2], np.trace(hypotheses.covariance[:, :2, :2], axis1=1, axis2=2)
+    square = own + np.sum((hypotheses.mean[:, :2] - place) ** 2, axis=1)
+    weight = np.exp(hypotheses.log_weight - hypotheses.log_weight.max())
+    return place, float(np.sqrt(own[best])), float(np.sqrt(weight @ square / weight.sum()))
 
 
 def _check(state: GaussianState, epoch: Epoch) -> None:

@@ -99,7 +99,7 @@ def start(
         vrps[0, 1] = 0.0
     mean[layout.walls] = vrps.ravel()
     covariance[0:2, 0:2] = config.motion.start_std_m**2 * np.eye(2)
-    covariance[2:4, 2:4] = config.motion.velocity_std_m_s**2 * np.eye(2)
+    covariance[2:4, 2:4] = config.motion.start_velocity_std_m_s**2 * np.eye(2)
     for k in range(layout.anchors):
         place = (NOWHERE_M, 0.0) if anchors_m is None else anchors_m[k]
         mean[layout.anchor(k)] = *place, config.noise.height2_mean_m2, 0.0

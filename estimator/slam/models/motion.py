@@ -33,7 +33,8 @@ class Motion(Settings):
         With ``acceleration_density``, velocities are forgotten at this time constant, seconds: in a gap
         between epochs the agent does not run away. 0 keeps them.
     velocity_std_m_s : float
-        Standard deviation of the agent's unknown initial velocity, per axis.
+        Standard deviation of the agent's unknown initial velocity, per axis; half the largest speed where
+        that is less.
     turn_rate_hz : float
         How often the agent turns suddenly, times a second: it goes on with a velocity of which only
         ``velocity_std_m_s`` is known. At most half of the probability goes to a turn within a step.
@@ -63,6 +64,11 @@ class Motion(Settings):
     def speed_std_m_s(self) -> float:
         """Standard deviation per axis of a velocity of which nothing else is known, metres a second."""
         return 0.5 * self.max_speed_m_s or self.velocity_std_m_s
+
+    @property
+    def start_velocity_std_m_s(self) -> float:
+        """Standard deviation per axis of the agent's velocity at the start, metres a second."""
+        return min(self.velocity_std_m_s, self.speed_std_m_s)
 
     @property
     def fastest_m_s(self) -> float:
