@@ -43,7 +43,7 @@ def register(app: typer.Typer) -> None:
     @app.command(
         epilog="[bold]Examples[/]\n\n  $ hapslam bench --only estimator\n\n"
         "  $ hapslam bench --quick --json\n\n"
-        "  $ hapslam bench --only estimator --compare docs/bench.json"
+        "  $ hapslam bench --only estimator --compare before.json"
     )
     def bench(
         only: Annotated[Part | None, typer.Option(help="Measure this part alone.")] = None,
