@@ -89,8 +89,8 @@ def test_answers_are_as_described(database: str, walk: MeasurementSet, phases: s
             check=False,
         )
         assert finished.returncode == 0, finished.stdout[-20_000:]
-        selected = 29 if phases == "fuzzing" else 30
-        assert f"{selected} selected / 31 total" in finished.stdout
+        selected = 32 if phases == "fuzzing" else 33
+        assert f"{selected} selected / 34 total" in finished.stdout
         assert client.session(session)["next_epoch"] >= 5
 
 
