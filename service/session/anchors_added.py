@@ -14,6 +14,7 @@ from service.errors import BusyError, TooLargeError
 from service.messages.documents import dump
 from service.session.fold import Job
 from service.session.sessions import Folder
+from service.storage.folded import Folded
 from service.storage.rewrites import Rewrite
 from service.storage.store import RevisionError, Step, Store
 
@@ -80,14 +81,16 @@ def _compute(step: Step, pool: Folder, config: str, more: int) -> None:
     epochs = [(number, _widened(body, more)) for number, body in _log(step)]
     if not epochs:
         raise RevisionError  # the last was not there yet when this began
-    snapshot, rows, sha256 = None, list[dict[str, Any]](), b""
+    folded: Folded | None = None
+    rows: list[dict[str, Any]] = []
     for first in range(0, len(epochs), _AT_ONCE):
         part = tuple(body for _, body in epochs[first : first + _AT_ONCE])
+        snapshot = None if folded is None else folded.snapshot
         folded = pool.fold(Job(row.id, config, sweeps, snapshot, part))
-        snapshot, sha256 = folded.snapshot, folded.sha256
         rows.extend(folded.estimates)
-    assert snapshot is not None
-    step.rewrite(Rewrite(row.id, row.revision, config, epochs, rows, snapshot, sha256))
+    assert folded is not None
+    last = folded.snapshot, folded.sha256, folded.integrity
+    step.rewrite(Rewrite(row.id, row.revision, config, epochs, rows, *last))
 
 
 def _log(step: Step) -> Sequence[tuple[int, str]]:

@@ -33,6 +33,8 @@ class Rewrite:
         Rows of the table ``estimates``, without the session.
     snapshot, sha256 : bytes
         The state after the last epoch and its digest.
+    integrity : str
+        Whether the last epoch may be relied on.
     """
 
     session_id: str
@@ -42,12 +44,18 @@ class Rewrite:
     estimates: Sequence[dict[str, Any]]
     snapshot: bytes
     sha256: bytes
+    integrity: str
 
 
 def rewrite(connection: Connection, new: Rewrite) -> bool:
     """Write in a transaction that is open; whether the session was still as it had been read."""
     named = sa.and_(sessions.c.id == new.session_id, sessions.c.revision == new.revision)
-    moved = {"config": new.config, "revision": new.revision + 1, "updated_at": datetime.now(UTC)}
+    moved = {
+        "config": new.config,
+        "revision": new.revision + 1,
+        "updated_at": datetime.now(UTC),
+        "integrity": new.integrity,
+    }
     if connection.execute(sa.update(sessions).where(named).values(**moved)).rowcount != 1:
         return False
     of_log = sa.and_(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Callable
 from typing import Any
 
@@ -44,6 +45,19 @@ def test_a_session_goes_on_with_one_more_anchor(
     assert client.post(f"{session_url}/epochs", json=heard).status_code == 200
     assert json.loads(client.get(session_url).content)["next_epoch"] == 14
     assert _verified(client) == [()]
+
+
+def test_the_list_tells_the_integrity_of_the_run_computed_anew(
+    database: str, client: TestClient, session_url: str, post_epochs: Callable[..., Response]
+) -> None:
+    """What the session's row says of its last epoch is what its estimate says, whatever stood there."""
+    post_epochs(session_url, 0, 12)
+    with sqlite3.connect(database.removeprefix("sqlite:///")) as direct:
+        direct.execute("UPDATE sessions SET integrity = 'lost'")
+    assert client.get(session_url).json()["integrity"] == "lost"
+    assert client.patch(session_url, json={"anchors": _ANCHORS}).status_code == 200
+    state = client.get(f"{session_url}/state").json()["integrity"]["state"]
+    assert client.get(session_url).json()["integrity"] == state != "lost"
 
 
 def test_what_cannot_be_added_changes_nothing(
