@@ -9,29 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.result import SlamResult
+from estimator.result import EPOCH_SHAPES, SlamResult
 
 __all__ = ["join_results"]
 
-_IDS = ("wall_id", "candidate_wall_id")
-_BY_EPOCH = (
-    "epoch",
-    "time_s",
-    "agent_mean",
-    "agent_covariance",
-    "rotation_std_rad",
-    "anchor_valid",
-    "anchor_mean_m",
-    "anchor_covariance_m2",
-    "hypotheses",
-    "log_evidence",
-    "anchor_existence",
-    "integrity_state",
-    "integrity_probability",
-    "protection_level_m",
-)
-_BY_WALL = ("wall_valid", "wall_mean_m", "wall_covariance_m2", "wall_existence")
-_BY_CANDIDATE = ("candidate_weight", "candidate_agent_m")
+_IDS = {
+    "wall": "wall_id",
+    "candidate_wall": "candidate_wall_id",
+}  # of axes that differ from stretch to stretch
 
 
 def join_results(results: Sequence[SlamResult]) -> SlamResult:
@@ -50,36 +35,28 @@ def join_results(results: Sequence[SlamResult]) -> SlamResult:
     """
     if len(results) == 1:
         return results[0]
-    walls, candidates = (_union([getattr(one, name) for one in results]) for name in _IDS)
-    most = max(one.candidate_weight.shape[1] for one in results)
-    columns: dict[str, Any] = {
-        name: np.concatenate([getattr(one, name) for one in results]) for name in _BY_EPOCH
+    ids = {
+        axis: np.unique(np.concatenate([getattr(one, name) for one in results]))
+        for axis, name in _IDS.items()
     }
-    columns = {name: column for name, column in columns.items() if column.dtype != object}  # not told at all
-    for name in _BY_WALL:
-        placed = [
-            _placed(getattr(one, name), 1, np.searchsorted(walls, one.wall_id), len(walls)) for one in results
-        ]
-        columns[name] = np.concatenate(placed)
-    for name in _BY_CANDIDATE:
-        own = [getattr(one, name) for one in results]
-        columns[name] = np.concatenate([_placed(part, 1, np.arange(part.shape[1]), most) for part in own])
-    columns["candidate_wall_mean_m"] = np.concatenate(
-        [
-            _placed(
-                _placed(one.candidate_wall_mean_m, 1, np.arange(one.candidate_weight.shape[1]), most),
-                2,
-                np.searchsorted(candidates, one.candidate_wall_id),
-                len(candidates),
-            )
-            for one in results
-        ]
-    )
-    return replace(results[0], wall_id=walls, candidate_wall_id=candidates, **columns)
-
-
-def _union(ids: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
-    return np.unique(np.concatenate(ids)).astype(np.int64)
+    sizes = {axis: len(known) for axis, known in ids.items()}
+    sizes["candidate"] = max(one.candidate_weight.shape[1] for one in results)
+    columns: dict[str, Any] = {_IDS[axis]: known.astype(np.int64) for axis, known in ids.items()}
+    for name, axes in EPOCH_SHAPES.items():
+        if getattr(results[0], name) is None:  # an engine that does not tell
+            continue
+        stretches = []
+        for one in results:
+            values = getattr(one, name)
+            for place, axis in enumerate(axes):
+                if axis in sizes:
+                    own = np.arange(values.shape[place])
+                    if axis in ids:
+                        own = np.searchsorted(ids[axis], getattr(one, _IDS[axis]))
+                    values = _placed(values, place, own, sizes[axis])
+            stretches.append(values)
+        columns[name] = np.concatenate(stretches)
+    return replace(results[0], **columns)
 
 
 def _placed(values: NDArray[Any], axis: int, columns: NDArray[np.int64], count: int) -> NDArray[Any]:

@@ -22,9 +22,12 @@ from typing import Any
 
 from estimator.dataset import remove_temporaries, require_absent, write_bytes, write_text
 from estimator.errors import FileFormatError, OutputExistsError
+from estimator.json_objects import json_object
 
-__all__ = ["Part", "Parts"]
+__all__ = ["PERIOD_S", "Part", "Parts"]
 
+PERIOD_S = 30.0
+"""Least time between two parts, seconds of wall clock: what a kill may cost."""
 _WORK, _STATE = "work.json", ".state"
 
 
@@ -56,7 +59,7 @@ class Parts:
     resume : bool
         Whether to take up what an interrupted run left.
     period_s : float
-        Least time between two parts, seconds of wall clock: what a kill may cost.
+        Least time between two parts, seconds of wall clock.
 
     Raises
     ------
@@ -67,15 +70,15 @@ class Parts:
     """
 
     def __init__(
-        self, out: Path, work: Mapping[str, Any], resume: bool = False, period_s: float = 30.0
+        self, out: Path, work: Mapping[str, Any], resume: bool = False, period_s: float = PERIOD_S
     ) -> None:
-        if not resume:
-            require_absent(out)
-        self.folder = out.with_name(f"{out.name}.parts")
+        self.out, self.folder = out, out.with_name(f"{out.name}.parts")
         self._work = {**work, "version": metadata.version("hapslam")}
         self._period_s, self._last = period_s, time.monotonic()
-        if not self.folder.exists():
+        left = self.folder.exists()
+        if not (resume and left):
             require_absent(out)
+        if not left:
             return
         if not resume:
             raise OutputExistsError(
@@ -105,9 +108,9 @@ class Parts:
                 f"{path}: expected the state at step {part.done}, could not read it"
             ) from error
 
-    def finished(self, out: Path) -> bool:
+    def finished(self) -> bool:
         """Whether the stage's file is there and only its parts have not been removed: they are now."""
-        if not (self.folder.exists() and out.exists()):
+        if not (self.folder.exists() and self.out.exists()):
             return False
         self.remove()
         return True
@@ -150,17 +153,18 @@ class Parts:
 
     def _check(self) -> None:
         """Raise FileFormatError unless the parts there are those of this work."""
-        try:
-            found = json.loads((self.folder / _WORK).read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            found = self._work  # killed before it had one: there are no parts either
+        file = self.folder / _WORK
+        if not file.exists():
             if any(self.folder.glob("*.nc")):
-                raise FileFormatError(
-                    f"{self.folder}: expected {_WORK} beside the parts, it is missing"
-                ) from None
-            shutil.rmtree(self.folder)
-        except (OSError, ValueError) as error:
-            raise FileFormatError(f"{self.folder / _WORK}: expected a JSON object: {error}") from error
+                raise FileFormatError(f"{self.folder}: expected {_WORK} beside the parts, it is missing")
+            shutil.rmtree(self.folder)  # killed before there was any
+            return
+        try:
+            found = json_object(file.read_bytes(), str(file))
+        except (OSError, FileFormatError) as error:
+            raise FileFormatError(
+                f"{file}: expected a JSON object that says whose parts these are; remove the folder to begin anew"
+            ) from error
         wanted = json.loads(json.dumps(self._work))
         other = sorted(key for key in wanted.keys() | found.keys() if wanted.get(key) != found.get(key))
         if other:

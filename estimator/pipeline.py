@@ -24,7 +24,7 @@ from estimator.dataset import MANIFEST, digest_of, open_dataset, write_text
 from estimator.errors import FileFormatError, InputError
 from estimator.json_objects import json_object
 from estimator.measurement_files import load_measurements, save_measurements
-from estimator.parts import Parts
+from estimator.parts import PERIOD_S, Parts
 from estimator.result import SlamResult, load_result, save_result
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def extract_file(
     out: Path,
     progress: Progress | None = None,
     resume: bool = False,
-    period_s: float = 30.0,
+    period_s: float = PERIOD_S,
     diffuse_tail: bool = False,
 ) -> None:
     """Estimate delays and walls from a dataset; write a measurement file.
@@ -89,7 +89,7 @@ def extract_file(
     config = ExtractConfig(diffuse=DiffuseConfig() if diffuse_tail else None)
     work = {"dataset": digest_of(opened.path / MANIFEST), "extract": asdict(config)}
     parts = Parts(out, work, resume, period_s)
-    if parts.finished(out):
+    if parts.finished():
         return
     measurements = extract(opened, config, progress, parts)
     save_measurements(replace(measurements, dataset=_relative(dataset, out)), out)
@@ -107,7 +107,7 @@ def slam_file(
     smooth: bool = False,
     known_walls: Callable[[MeasurementSet], Sequence[GaussianVrp]] | None = None,
     resume: bool = False,
-    period_s: float = 30.0,
+    period_s: float = PERIOD_S,
 ) -> None:
     """Run SLAM on a measurement file; write a result file and its sidecar.
 
@@ -149,7 +149,7 @@ def slam_file(
         "walls": None if walls is None else [[w.mean_m.tolist(), w.covariance_m2.tolist()] for w in walls],
     }
     parts = Parts(out, work, resume, period_s)
-    if parts.finished(out):
+    if parts.finished():
         return
     there = max((part.done for part in parts.of("slam")), default=0)
     result = run_slam(

@@ -24,7 +24,7 @@ from estimator.json_objects import json_object
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["SlamResult", "load_result", "save_result"]
+__all__ = ["EPOCH_SHAPES", "SlamResult", "load_result", "save_result"]
 
 FORMAT = "hapslam-result"
 VERSION = 2
@@ -56,6 +56,8 @@ _LATER: dict[str, tuple[tuple[str, ...], str]] = {  # files of before may lack t
     "integrity_probability": (("epoch",), "1"),
     "protection_level_m": (("epoch",), "m"),
 }
+EPOCH_SHAPES = {name: axes for name, (axes, _) in (_SHAPES | _LATER).items() if axes[0] == "epoch"}
+"""Axes of what a result tells of each epoch, by name."""
 
 
 @dataclass(frozen=True, eq=False)
