@@ -163,7 +163,8 @@ class Parts:
             found = json_object(file.read_bytes(), str(file))
         except (OSError, FileFormatError) as error:
             raise FileFormatError(
-                f"{file}: expected a JSON object that says whose parts these are; remove the folder to begin anew"
+                f"{file}: expected a JSON object that says whose parts these are; remove the folder to begin "
+                "anew"
             ) from error
         wanted = json.loads(json.dumps(self._work))
         other = sorted(key for key in wanted.keys() | found.keys() if wanted.get(key) != found.get(key))

@@ -12,7 +12,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-import shapely
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from estimator.errors import InputError
 from raytrace.plan.floorplan import FloorPlan
-from raytrace.plan.space import confined
+from raytrace.propagation.coverage import lattice, path_gains
 from raytrace.propagation.images import image_paths
 from raytrace.propagation.paths import PathList
 from raytrace.propagation.reflectors import mirrored, surfaces_of
@@ -56,7 +55,6 @@ _STYLE: dict[Any, Any] = {
 }
 # Power from free space to nothing that a receiver hears, dB between the ends of the colours.
 _SPAN_DB = 60.0
-_MOST_PIXELS = 20_000
 
 
 @contextmanager
@@ -122,7 +120,13 @@ def draw_paths(plan: FloorPlan, epoch: int, depth: int | None = None) -> Figure:
     return figure
 
 
-def draw_coverage(plan: FloorPlan, depth: int = 1, anchor: int | None = None) -> Figure:
+def draw_coverage(
+    plan: FloorPlan,
+    depth: int = 1,
+    anchor: int | None = None,
+    step_m: float | None = None,
+    over_sent: bool = False,
+) -> Figure:
     """Draw the power that the agent would receive everywhere, at its height.
 
     Parameters
@@ -133,33 +137,41 @@ def draw_coverage(plan: FloorPlan, depth: int = 1, anchor: int | None = None) ->
         Most bounces of the paths whose powers are added.
     anchor : int, optional
         One anchor; by default the strongest at each place.
+    step_m : float, optional
+        From place to place, metres; by default as fine as a picture needs.
+    over_sent : bool
+        Whether powers are over what the anchor sends: where nobody knows that.
 
     Raises
     ------
     InputError
         If the plan has no such anchor.
     """
-    x, y, power = received_power(plan, depth)
+    x, y, power = received_power(plan, depth, step_m)
+    what, unit = ("gain", "dB") if over_sent else ("received power", "dBm")
+    power = power - plan.radio.eirp_dbm if over_sent else power
     if anchor is not None and not 0 <= anchor < len(plan.anchors):
         raise InputError(f"anchor: expected 0 to {len(plan.anchors) - 1}, got {anchor}")
     shown = power.max(axis=-1) if anchor is None else power[..., anchor]
     with style():
         of = "strongest anchor" if anchor is None else plan.anchors[anchor].name
         most = "1 bounce" if depth == 1 else f"{depth} bounces"
-        figure, axes = _canvas(plan, f"{plan.name}: received power, {of}, up to {most}")
+        figure, axes = _canvas(plan, f"{plan.name}: {what}, {of}, up to {most}")
         heard = shown[np.isfinite(shown)]
         top = float(np.percentile(heard, 99.5)) if heard.size else 0.0
         image = axes.pcolormesh(
             x, y, shown.T, cmap="viridis", vmin=top - _SPAN_DB, vmax=top, shading="nearest", rasterized=True
         )
-        figure.colorbar(image, ax=axes, label="received power, dBm", shrink=0.7)
+        figure.colorbar(image, ax=axes, label=f"{what}, {unit}", shrink=0.7)
         _draw_walls(axes, plan, colour=COLOURS["ink"])
         _draw_stations(axes, plan)
         _finish(figure, axes)
     return figure
 
 
-def received_power(plan: FloorPlan, depth: int = 1) -> tuple[Array, Array, Array]:
+def received_power(
+    plan: FloorPlan, depth: int = 1, step_m: float | None = None
+) -> tuple[Array, Array, Array]:
     """Power from each anchor on a lattice over the plan, phases averaged out.
 
     Parameters
@@ -168,6 +180,8 @@ def received_power(plan: FloorPlan, depth: int = 1) -> tuple[Array, Array, Array
         The plan; its ``radio.eirp_dbm`` is sent.
     depth : int
         Most bounces.
+    step_m : float, optional
+        From place to place, metres; by default as fine as a picture needs.
 
     Returns
     -------
@@ -177,27 +191,9 @@ def received_power(plan: FloorPlan, depth: int = 1) -> tuple[Array, Array, Array
         dBm; NaN outside of the walls (in scenes where the agent walks inside), ``-inf`` where
         no path arrives.
     """
-    start, end = plan.walls_m()
-    track = plan.track()[:, :2]
-    corners = np.vstack([start, end, track, plan.anchors_m()[:, :2]])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    size = high - low
-    pitch = float(max(np.sqrt(size[0] * size[1] / _MOST_PIXELS), 0.05))
-    x, y = (np.arange(low[axis] + 0.5 * pitch, high[axis], pitch) for axis in range(2))
-    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-    room = confined(start, end)
-    if not shapely.contains_xy(room, *track[0]):
-        room = shapely.box(*low, *high)
-    shapely.prepare(room)
-    inside = shapely.contains_xy(room, places[..., 0], places[..., 1])
-    positions = np.column_stack([places[inside], np.full(int(inside.sum()), plan.agent.height_m)])
-    paths = image_paths(plan, positions, depth).flat()
-    gain = np.zeros((len(positions), len(plan.anchors)))
-    np.add.at(gain, (paths.epoch, paths.anchor), np.abs(paths.amplitude) ** 2)
-    power = np.full((*inside.shape, len(plan.anchors)), np.nan)
+    x, y = lattice(plan, step_m)
     with np.errstate(divide="ignore"):
-        power[inside] = plan.radio.eirp_dbm + 10.0 * np.log10(gain)
-    return x, y, power
+        return x, y, plan.radio.eirp_dbm + 10.0 * np.log10(path_gains(plan, x, y, depth))
 
 
 def path_vertices(plan: FloorPlan, paths: PathList, positions_m: Array) -> Array:

@@ -14,7 +14,7 @@ from raytrace.propagation.images import image_paths
 from raytrace.propagation.paths import PathSet
 from raytrace.radio.channel import channel_response
 
-__all__ = ["Channels", "channels_of", "grid_axes", "predict", "predict_grid"]
+__all__ = ["Channels", "channels_of", "predict", "predict_grid"]
 
 Array = NDArray[np.float64]
 _MOST_POINTS = 200_000  # of a grid: some minutes
@@ -121,13 +121,6 @@ def predict_grid(
     channels : Channels
         Of its points, x running fastest: T = X Y.
     """
-    x, y = grid_axes(plan, step_m)
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return x, y, predict(plan, points, depth)
-
-
-def grid_axes(plan: FloorPlan, step_m: float) -> tuple[Array, Array]:
-    """Coordinates (X,) and (Y,) of a grid over a plan, metres; raises InputError if there are too many."""
     start, end = plan.walls_m()
     low, high = np.minimum(start, end).min(axis=0), np.maximum(start, end).max(axis=0)
     if not 0.0 < step_m < np.inf:
@@ -135,4 +128,5 @@ def grid_axes(plan: FloorPlan, step_m: float) -> tuple[Array, Array]:
     x, y = (np.arange(a + 0.5 * step_m, b, step_m) for a, b in zip(low, high, strict=True))
     if x.size * y.size > _MOST_POINTS:
         raise InputError(f"step_m: expected at most {_MOST_POINTS} points, got {x.size * y.size}")
-    return x, y
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    return x, y, predict(plan, points, depth)

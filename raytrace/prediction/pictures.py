@@ -1,9 +1,10 @@
-"""Predicted coverage; and beside the true one with their difference, in the frame of the true plan."""
+"""True and predicted coverage side by side, and their difference, drawn in the frame of the true plan."""
 
 from __future__ import annotations
 
 import matplotlib as mpl
 import numpy as np
+import shapely
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -12,10 +13,10 @@ from numpy.typing import NDArray
 from estimator.geometry import rotate
 from raytrace.pictures.plans import COLOURS, style
 from raytrace.plan.floorplan import FloorPlan
+from raytrace.plan.space import confined
 from raytrace.prediction.channels import predict, predict_grid
-from raytrace.prediction.coverage import coverage, decibels, inside
 
-__all__ = ["draw_comparison", "draw_coverage"]
+__all__ = ["draw_comparison"]
 
 Array = NDArray[np.float64]
 _SPAN_DB = 40.0  # of the colours of powers
@@ -44,8 +45,8 @@ def draw_comparison(
     x, y, exact = predict_grid(true.model_copy(update={"anchors": kept}), step_m)
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     guess = predict(twin, rotate(points - origin, -heading_rad))
-    within = inside(true, points)
-    powers = [decibels(channels.power.max(axis=1), within) for channels in (exact, guess)]
+    inside = _inside(true, points)
+    powers = [_decibels(channels.power.max(axis=1), inside) for channels in (exact, guess)]
     top = float(np.nanpercentile(powers[0], 99.0)) if np.isfinite(powers[0]).any() else 0.0
     panels = [
         ("true", powers[0], "viridis", top - _SPAN_DB, top, true.walls_m()),
@@ -76,34 +77,14 @@ def draw_comparison(
     return figure
 
 
-def draw_coverage(plan: FloorPlan, mapped_m: Array, step_m: float = 0.5) -> Figure:
-    """Draw the gain of the strongest anchor that a plan predicts, with its walls, anchors and a track.
+def _decibels(power: Array, inside: NDArray[np.bool_]) -> Array:
+    shown = inside & (power > 0.0)
+    return np.where(shown, 10.0 * np.log10(np.where(shown, power, 1.0)), np.nan)
 
-    Parameters
-    ----------
-    plan : FloorPlan
-        The plan.
-    mapped_m : ndarray, shape (M, 2)
-        The track that was mapped, in its frame.
-    step_m : float
-        Distance between points, metres.
-    """
-    x, y, gain_db = coverage(plan, step_m)
-    top = float(np.nanpercentile(gain_db, 99.0)) if np.isfinite(gain_db).any() else 0.0
-    with style():
-        height = 5.5 * np.ptp(y) / max(np.ptp(x), step_m) + 0.9
-        figure = Figure(figsize=(7.0, float(np.clip(height, 2.5, 12.0))), layout="constrained")
-        axes = figure.subplots()
-        image = axes.pcolormesh(
-            x, y, gain_db, cmap="viridis", vmin=top - _SPAN_DB, vmax=top, shading="nearest", rasterized=True
-        )
-        _draw_walls(axes, *plan.walls_m())
-        axes.plot(*mapped_m.T, color=COLOURS["ink"], linewidth=0.6, linestyle=":")
-        places = np.array([anchor.position_m[:2] for anchor in plan.anchors]).reshape(-1, 2)
-        axes.plot(*places.T, "^", color=COLOURS["ink"], markersize=6)
-        axes.set(title="predicted coverage", aspect="equal", xlabel="x, m", ylabel="y, m")
-        figure.colorbar(image, ax=axes, label="gain of the strongest anchor, dB", shrink=0.8)
-    return figure
+
+def _inside(plan: FloorPlan, points: Array) -> NDArray[np.bool_]:
+    """Points that the walls confine."""
+    return np.asarray(shapely.contains_xy(confined(*plan.walls_m()), points[:, 0], points[:, 1]))
 
 
 def _placed(plan: FloorPlan, origin: Array, heading_rad: float) -> tuple[Array, Array]:

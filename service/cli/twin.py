@@ -78,9 +78,8 @@ def twin(
     from estimator.measurement_files import load_measurements
     from estimator.result import load_result
     from estimator.slam.smoothing.refine import refine
-    from estimator.twin.build import build_twin
     from raytrace.plan.files import save_floorplan
-    from service.session.twin_plan import passive_link, refined, twin_plan
+    from service.session.twin_plan import twin_of
 
     require_absent(out)
     found, measured = load_result(result), load_measurements(measurements)
@@ -90,8 +89,7 @@ def twin(
         first = int(found.epoch[found.flagged.argmax()])
         share = f"{int(found.flagged.sum())} of {len(found.epoch)} epochs from {first} on"
         Reporter().say(f"hapslam: note: the run doubts itself in {share}; so does this twin")
-    built = build_twin(found, measured)
-    plan = refined(twin_plan(built, out.stem[:100], passive_link(measured), agent_height), built, measured)
+    plan = twin_of(found, measured, out.stem[:100], agent_height)
     save_floorplan(plan, out)
     facts = _facts(plan, out)
     if picture is not None:

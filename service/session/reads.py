@@ -23,6 +23,7 @@ from service.session.results import (
     measurements_file,
     picture,
     result_file,
+    session_measurements,
     session_result,
 )
 from service.session.smoothing import smoothed_document
@@ -40,6 +41,7 @@ __all__ = [
     "Read",
     "SmoothRead",
     "TrackRead",
+    "check_smoothable",
 ]
 
 ExportFormat = Literal["netcdf", "mcap", "tum"]
@@ -159,6 +161,15 @@ class MeasurementsRead(Read):
         return measurements_file(store, row, connection)
 
 
+def check_smoothable(row: Row[Any], max_epochs: int) -> None:
+    """Raise ConflictError if a session has no epoch yet, TooLargeError if it has too many to be smoothed."""
+    latest_epoch(row, None)
+    if row.next_epoch > max_epochs:
+        raise TooLargeError(
+            f"expected a session of at most {max_epochs} epochs to smooth, it has {row.next_epoch}"
+        )
+
+
 @dataclass(frozen=True)
 class SmoothRead(Read):
     """The run smoothed, JSON."""
@@ -168,10 +179,7 @@ class SmoothRead(Read):
 
     def look(self, store: Store, row: Row[Any], connection: Connection) -> str:
         """The document."""
-        latest_epoch(row, None)
-        if row.next_epoch > self.max_epochs:
-            raise TooLargeError(
-                f"expected a session of at most {self.max_epochs} epochs to smooth, it has {row.next_epoch}"
-            )
-        sweeps, epochs = (store.log(row.id, kind, connection) for kind in ("sweep", "epoch"))
-        return smoothed_document(row.config, sweeps, epochs, session_result(store, row, connection), self.lag)
+        check_smoothable(row, self.max_epochs)
+        measured = session_measurements(store, row, connection)
+        start_frame = json.loads(row.config)["start_frame"]
+        return smoothed_document(measured, session_result(store, row, connection), start_frame, self.lag)

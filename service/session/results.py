@@ -14,6 +14,7 @@ from sqlalchemy import Connection, Row
 
 from estimator.evaluation.wall_lines import line_points, line_std, seen_span
 from estimator.measurement_files import save_measurements
+from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult, save_result
 from estimator.slam.protocol import INTEGRITY_STATES
 from service.errors import ConflictError
@@ -22,7 +23,15 @@ from service.messages.packed import RunTerms, pack_estimate, unpack_run
 from service.session.fold import measurement_set
 from service.storage.store import Store
 
-__all__ = ["latest_epoch", "map_document", "measurements_file", "picture", "result_file", "session_result"]
+__all__ = [
+    "latest_epoch",
+    "map_document",
+    "measurements_file",
+    "picture",
+    "result_file",
+    "session_measurements",
+    "session_result",
+]
 
 _LAST = 2**31 - 1
 
@@ -72,15 +81,18 @@ def result_file(result: SlamResult) -> bytes:
         return file.read_bytes()
 
 
+def session_measurements(store: Store, row: Row[Any], connection: Connection) -> MeasurementSet:
+    """What a session has been sent, as a batch run takes it."""
+    walls = [wall for text in store.log(row.id, "sweep", connection) for wall in read_sweep(text)]
+    epochs = tuple(read_epoch(text) for text in store.log(row.id, "epoch", connection))
+    return replace(measurement_set(json.loads(row.config), walls), epochs=epochs)
+
+
 def measurements_file(store: Store, row: Row[Any], connection: Connection) -> bytes:
     """A session's log as a measurement file (netCDF), as ``hapslam slam`` reads it."""
-    config = json.loads(row.config)
-    walls = [w for text in store.log(row.id, "sweep", connection) for w in read_sweep(text)]
-    epochs = tuple(read_epoch(text) for text in store.log(row.id, "epoch", connection))
-    measurements = replace(measurement_set(config, walls), epochs=epochs)
     with TemporaryDirectory(prefix="hapslam-") as folder:
         file = Path(folder) / "measurements.nc"
-        save_measurements(measurements, file)
+        save_measurements(session_measurements(store, row, connection), file)
         return file.read_bytes()
 
 

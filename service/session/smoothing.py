@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from estimator.errors import InputError
+from estimator.measurements import MeasurementSet
 from estimator.result import SlamResult
 from estimator.threads import one_blas_thread
-from service.messages.documents import dump, read_epoch, read_sweep
-from service.session.fold import measurement_set
+from service.messages.documents import dump
 from service.session.results import map_document
 
 __all__ = ["explained", "smoothed_document"]
@@ -22,18 +20,18 @@ __all__ = ["explained", "smoothed_document"]
 
 @one_blas_thread()
 def smoothed_document(
-    config_text: str, sweeps: Sequence[str], epochs: Sequence[str], result: SlamResult, lag: int
+    measurements: MeasurementSet, result: SlamResult, start_frame: dict[str, Any] | None, lag: int
 ) -> str:
     """A run smoothed, as JSON; see :func:`estimator.slam.smoothing.refine.refine`.
 
     Parameters
     ----------
-    config_text : str
-        The session's configuration, JSON.
-    sweeps, epochs : sequence of str
-        Its log.
+    measurements : MeasurementSet
+        What a session has been sent.
     result : SlamResult
         What its engine made of it.
+    start_frame : dict or None
+        Where its agent starts in a floor plan, if it says so.
     lag : int
         Epochs that the smoother looks ahead; 0 for the whole run.
 
@@ -45,12 +43,9 @@ def smoothed_document(
     """
     from estimator.slam.smoothing.refine import RefineConfig, refine
 
-    config = json.loads(config_text)
-    walls = [wall for text in sweeps for wall in read_sweep(text)]
-    measurements = replace(measurement_set(config, walls), epochs=tuple(read_epoch(text) for text in epochs))
     with explained():
         smoothed = refine(measurements, result, config=RefineConfig(lag=lag))
-        return dump(_document(smoothed, config["start_frame"]))
+        return dump(_document(smoothed, start_frame))
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from estimator.errors import InputError
 
 if TYPE_CHECKING:
     from estimator.measurements import MeasurementSet
+    from estimator.result import SlamResult
     from estimator.twin.build import TwinMap
     from estimator.twin.stretches import Stretch
     from raytrace.plan.floorplan import FloorPlan
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from raytrace.prediction.wall_parts import WallPart
     from raytrace.propagation.slab_fit import SlabFit
 
-__all__ = ["parts_of", "passive_link", "refined", "twin_plan"]
+__all__ = ["parts_of", "refined", "twin_of", "twin_plan"]
 
 Array = NDArray[np.float64]
 _HEADROOM_M = 0.5  # walls are higher than the highest anchor by this, and 3 m at least
@@ -73,7 +74,32 @@ def refined(plan: FloorPlan, twin: TwinMap, measured: MeasurementSet) -> FloorPl
     return parse_floorplan({"format": plan.format, "version": plan.version, **data}, source=plan.name)
 
 
-def passive_link(measured: MeasurementSet) -> Radio:
+def twin_of(found: SlamResult, measured: MeasurementSet, name: str, agent_height_m: float = 1.5) -> FloorPlan:
+    """The twin that a smoothed result and its measurements make.
+
+    Parameters
+    ----------
+    found : SlamResult
+        Result with its joint map.
+    measured : MeasurementSet
+        What it was made of.
+    name : str
+        Of the plan.
+    agent_height_m : float
+        Height of the agent over the floor, metres: nothing tells it.
+
+    Raises
+    ------
+    InputError
+        If nothing can be made of them: no wall, or no anchor.
+    """
+    from estimator.twin.build import build_twin
+
+    built = build_twin(found, measured)
+    return refined(twin_plan(built, name, _passive_link(measured), agent_height_m), built, measured)
+
+
+def _passive_link(measured: MeasurementSet) -> Radio:
     """The passive link that measurements name; the default at their carrier where they name none."""
     from raytrace.plan.links import Radio
 
