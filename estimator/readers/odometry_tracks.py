@@ -18,7 +18,7 @@ from estimator.errors import ConfigurationError, FileFormatError, InputError
 from estimator.geometry import rotation_matrix
 from estimator.measurements import MeasurementSet
 from estimator.odometry import Odometry
-from estimator.readers.text_files import lines_of, number, seconds
+from estimator.readers.trajectories import read_cells, timed_rows
 
 __all__ = ["OdometryNoise", "Poses", "find_heading", "read_poses", "with_odometry"]
 
@@ -76,35 +76,23 @@ def read_poses(path: Path) -> Poses:
     FileFormatError
         If it is none, or times do not ascend; names the line and the column.
     """
-    lines = [(i, line) for i, line in lines_of(path, _WHAT) if not line.startswith("#")]
-    cells = [line.split(",") if "," in line else line.split() for _, line in lines]
+    lines, cells = read_cells(path, _WHAT)
     names = [cell.strip().lower() for cell in cells[0]] if cells else []
     columns = ["time", "x", "y", "heading_deg"]
     tum = "x" not in names
     if not tum and not set(columns) <= set(names):
         raise FileFormatError(
-            f"{path}, line {lines[0][0]}: expected columns {', '.join(columns)}, got {', '.join(names)}"[:300]
+            f"{path}, line {lines[0]}: expected columns {', '.join(columns)}, got {', '.join(names)}"[:300]
         )
     place = [0, 1, 2, 4, 5, 6, 7] if tum else [names.index(name) for name in columns]
-    labels = ["time", "tx", "ty", "qx", "qy", "qz", "qw"] if tum else columns
-    rows: list[tuple[float, float, float, float]] = []
-    for (line, _), row in zip(lines[not tum :], cells[not tum :], strict=True):
-        where = f"{path}, line {line}"
-        if len(row) <= max(place):
-            raise FileFormatError(f"{where}: expected {max(place) + 1} columns or more, got {len(row)}")
-        t = seconds(row[place[0]], f"{where}, column time")
-        x, y, *turn = (
-            number(row[c], f"{where}, column {label}") for c, label in zip(place[1:], labels[1:], strict=True)
-        )
-        if rows and not t > rows[-1][0]:
-            raise FileFormatError(
-                f"{where}, column time: expected a later one than {rows[-1][0]!r}, got {t!r}"
-            )
-        rows.append((t, x, y, _yaw(turn, where) if tum else np.radians(turn[0])))
+    labels = ["tx", "ty", "qx", "qy", "qz", "qw"] if tum else columns[1:]
+    where = [f"{path}, line {line}" for line in lines[not tum :]]
+    rows = timed_rows(where, cells[not tum :], place, labels)
+    turn = [_yaw(row[3:], line) if tum else np.radians(row[3]) for row, line in zip(rows, where, strict=True)]
     if len(rows) < 2:
         raise FileFormatError(f"{path}: expected {_WHAT} of two lines or more, got {len(rows)}")
     table = np.array(rows)
-    return Poses(table[:, 0], table[:, 1:3], np.unwrap(table[:, 3]))
+    return Poses(table[:, 0], table[:, 1:3], np.unwrap(turn))
 
 
 def _yaw(quaternion: list[float], where: str) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from estimator.errors import FileFormatError
 from estimator.readers.text_files import lines_of, number, seconds
 
-__all__ = ["Track", "read_track"]
+__all__ = ["Track", "read_cells", "read_track", "timed_rows"]
 
 Array = NDArray[np.float64]
 _WHAT = "a trajectory (TUM, or columns time, x, y)"
@@ -47,10 +48,9 @@ def read_track(path: Path) -> Track:
     FileFormatError
         If it is none, or times do not ascend; names the line and the column.
     """
-    lines = [(i, line) for i, line in lines_of(path, _WHAT) if not line.startswith("#")]
+    lines, cells = read_cells(path, _WHAT)
     if not lines:
         raise FileFormatError(f"{path}: expected {_WHAT}, got no line")
-    cells = [line.split(_COMMA) if _COMMA in line else line.split() for _, line in lines]
     names = [cell.strip().lower() for cell in cells[0]]
     columns = [0, 1, 2]
     first = 0
@@ -58,25 +58,60 @@ def read_track(path: Path) -> Track:
         time = next((name for name in ("time", "time_s", "timestamp") if name in names), None)
         if time is None:
             raise FileFormatError(
-                f"{path}, line {lines[0][0]}: expected a column time, got {', '.join(names)}"[:300]
+                f"{path}, line {lines[0]}: expected a column time, got {', '.join(names)}"[:300]
             )
         columns, first = [names.index(time), names.index("x"), names.index("y")], 1
-    rows: list[tuple[float, float, float]] = []
-    for (line, _), row in zip(lines[first:], cells[first:], strict=True):
-        if len(row) <= max(columns):
-            raise FileFormatError(
-                f"{path}, line {line}: expected {max(columns) + 1} columns or more, got {len(row)}"
-            )
-        t = seconds(row[columns[0]], f"{path}, line {line}, column time")
-        x, y = (
-            number(row[c], f"{path}, line {line}, column {n}") for n, c in zip("xy", columns[1:], strict=True)
-        )
-        if rows and not t > rows[-1][0]:
-            raise FileFormatError(
-                f"{path}, line {line}, column time: expected a later one than {rows[-1][0]!r}, got {t!r}"
-            )
-        rows.append((t, x, y))
-    if not rows:
+    where = [f"{path}, line {line}" for line in lines[first:]]
+    table = np.array(timed_rows(where, cells[first:], columns, ["x", "y"]))
+    if not len(table):
         raise FileFormatError(f"{path}: expected {_WHAT}, got a header alone")
-    table = np.array(rows)
     return Track(table[:, 0], table[:, 1:3])
+
+
+def read_cells(path: Path, what: str) -> tuple[list[int], list[list[str]]]:
+    """Numbers of the lines of a table that are no comments, and their cells: after commas, or else blanks.
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be read as text.
+    """
+    lines = [(i, line) for i, line in lines_of(path, what) if not line.startswith("#")]
+    cells = [line.split(_COMMA) if _COMMA in line else line.split() for _, line in lines]
+    return [i for i, _ in lines], cells
+
+
+def timed_rows(
+    where: Sequence[str], cells: Sequence[Sequence[str]], columns: Sequence[int], labels: Sequence[str]
+) -> list[list[float]]:
+    """Times in seconds, ascending, and numbers beside them.
+
+    Parameters
+    ----------
+    where : sequence of str
+        Where each row stands, for errors.
+    cells : sequence of sequences of str
+        The rows.
+    columns : sequence of int
+        The column of the time, then those of the numbers,
+    labels : sequence of str
+        and the names of these.
+
+    Raises
+    ------
+    FileFormatError
+        If a row is short, a cell no number, or times do not ascend; names the column.
+    """
+    rows: list[list[float]] = []
+    for place, row in zip(where, cells, strict=True):
+        if len(row) <= max(columns):
+            raise FileFormatError(f"{place}: expected {max(columns) + 1} columns or more, got {len(row)}")
+        time = seconds(row[columns[0]], f"{place}, column time")
+        named = zip(columns[1:], labels, strict=True)
+        values = [number(row[column], f"{place}, column {label}") for column, label in named]
+        if rows and not time > rows[-1][0]:
+            raise FileFormatError(
+                f"{place}, column time: expected a later one than {rows[-1][0]!r}, got {time!r}"
+            )
+        rows.append([time, *values])
+    return rows
