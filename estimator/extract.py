@@ -24,7 +24,7 @@ from estimator.channel.diffuse import DiffuseConfig, DiffusePlan
 from estimator.channel.nomp import DelayEstimate, NompConfig, NompPlan
 from estimator.dataset import Dataset
 from estimator.errors import ConfigurationError, FileFormatError
-from estimator.measurement_files import load_measurements, save_measurements
+from estimator.kept_epochs import KeptEpochs
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp, MeasurementSet
 from estimator.odometry import odometry_of
 from estimator.parts import Parts
@@ -161,7 +161,7 @@ def extract_epochs(
     noise_variance = float(_entry(radio, "noise_variance", "radio"))
     anchors = len(_entry(dataset.manifest, "anchors", "manifest"))
     total = int(_entry(dataset.manifest, "epochs", "manifest")) * anchors
-    kept = _Kept(dataset, "passive", parts)
+    kept = KeptEpochs(dataset, "passive", parts)
     epochs = kept.epochs
     for shard in dataset.shards("passive", kept.shards):
         cfr = _channels(shard, plan.grid, antennas)
@@ -218,7 +218,7 @@ def sense_sweeps(
 
     Parameters and errors are those of :func:`extract`; a dataset without echoes has no sweeps.
     """
-    kept = _Kept(dataset, "echo", parts)
+    kept = KeptEpochs(dataset, "echo", parts)
     silent = tuple(AnchorPaths.none() for _ in _entry(dataset.manifest, "anchors", "manifest"))
     files = sum(1 for entry in dataset.manifest.get("shards", ()) if entry.get("kind") == "echo")
     for shard in dataset.shards("echo", kept.shards):
@@ -241,28 +241,6 @@ def sense_sweeps(
         if progress is not None:
             progress(kept.shards, files, "sensing walls")
     return {epoch.index: epoch.sweep for epoch in kept.epochs}
-
-
-class _Kept:
-    """Epochs of the shards done, of this run and of those before it."""
-
-    def __init__(self, dataset: Dataset, kind: str, parts: Parts | None) -> None:
-        self.epochs: list[Epoch] = []
-        self.shards = 0
-        self._manifest, self._kind, self._parts = dataset.manifest, kind, parts
-        for part in [] if parts is None else parts.of(kind):
-            self.epochs += load_measurements(part.path).epochs
-            self.shards = part.done
-        self._written = len(self.epochs)
-
-    def shard_done(self) -> None:
-        """Count a shard whose epochs have been added, and keep what is new if it is time."""
-        self.shards += 1
-        if self._parts is not None and self._parts.due:
-            anchors = tuple(str(name) for name in self._manifest["anchors"])
-            new = MeasurementSet(anchors, (), tuple(self.epochs[self._written :]), 1.0)
-            self._parts.keep(self._kind, self.shards, lambda path: save_measurements(new, path))
-            self._written = len(self.epochs)
 
 
 def paths_of(estimate: DelayEstimate, array: AntennaArray | None = None) -> AnchorPaths:
