@@ -14,9 +14,9 @@ from estimator.slam.gaussian.clock_guesses import ClockGuesses
 from estimator.slam.gaussian.clutter import Clutter
 from estimator.slam.gaussian.integrity import IntegrityModel
 from estimator.slam.gaussian.lifecycle import Lifecycle
+from estimator.slam.gaussian.map_search import Relocation
 from estimator.slam.gaussian.phase import Phase, Phases
 from estimator.slam.gaussian.reclassification import Reclassification
-from estimator.slam.gaussian.relocation import Relocation
 from estimator.slam.gaussian.sweep_update import SweepMatching
 from estimator.slam.gaussian.update import Corrections, UpdateModel
 from estimator.slam.mixture_reduction import ReduceModel, Reduction, reduction_model

@@ -53,7 +53,7 @@ from estimator.slam.models.clutter_guard import guard_clutter
 from estimator.slam.models.epoch_paths import EpochPaths, stack_paths
 from estimator.slam.models.extents import widen_extents
 from estimator.slam.models.features import active_features
-from estimator.slam.models.hypotheses import Hypotheses, log_sum_exp
+from estimator.slam.models.hypotheses import Hypotheses, log_sum_exp, normalised_weights
 from estimator.slam.models.noise_level import believed, learned
 from estimator.slam.models.path_loss import learn_losses
 from estimator.slam.protocol import Estimate, Prior
@@ -148,8 +148,8 @@ def _place(hypotheses: Hypotheses) -> tuple[Array, float, float]:
     best = hypotheses.best
     place, own = hypotheses.mean[best, :2], np.trace(hypotheses.covariance[:, :2, :2], axis1=1, axis2=2)
     square = own + np.sum((hypotheses.mean[:, :2] - place) ** 2, axis=1)
-    weight = np.exp(hypotheses.log_weight - hypotheses.log_weight.max())
-    return place, float(np.sqrt(own[best])), float(np.sqrt(weight @ square / weight.sum()))
+    spread = normalised_weights(hypotheses.log_weight) @ square
+    return place, float(np.sqrt(own[best])), float(np.sqrt(spread))
 
 
 def _check(state: GaussianState, epoch: Epoch) -> None:

@@ -9,33 +9,36 @@ cells times paths times walls; all three are bounded.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
 from estimator.slam.gaussian.config import GaussianConfig
-from estimator.slam.gaussian.relocation import Relocation, best_places, elsewhere, grid
+from estimator.slam.gaussian.map_search import (
+    FAR,
+    Known,
+    Places,
+    Relocation,
+    best_places,
+    elsewhere,
+    grid,
+    map_of,
+)
 from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.models.directions import wrapped
 from estimator.slam.models.epoch_paths import EpochPaths
 from estimator.slam.models.state_vector import FIRST_ANCHOR, PER_ANCHOR, THETA, Layout
 from estimator.slam.models.visibility import Visibility
 
-__all__ = ["FoundPlaces", "path_scores", "places_by_paths", "search_elsewhere"]
+__all__ = ["path_scores", "places_by_paths", "search_elsewhere"]
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-_FAR: Final = 30.0  # numerical floor: squared standard deviations beyond which a density counts as nothing
 
 
 @compiled
 def path_scores(
     layout: Layout,
-    mean: Array,
-    present: Mask,
-    located: Mask,
+    known: Known,
     cells: Array,
     cell_m: float,
     paths: EpochPaths,
@@ -49,10 +52,8 @@ def path_scores(
     ----------
     layout : Layout
         Positions in the state vector.
-    mean : ndarray, shape (n,)
-        The map: a state vector whose agent is not looked at.
-    present, located : ndarray of bool, shapes (L,) and (K,)
-        Walls and anchors that it has.
+    known : Known
+        The map.
     cells : ndarray, shape (C, 2)
         Places, gauge frame, metres,
     cell_m : float
@@ -64,6 +65,7 @@ def path_scores(
     prior_sight, prior_wall : float
         Probabilities that a line of sight, and a bounce off a wall, is heard.
     """
+    mean, present, located = known
     first = FIRST_ANCHOR + PER_ANCHOR * layout.anchors
     blur = cell_m * cell_m / 6.0  # of a place within its cell, and what it does to a length
     score = np.zeros(cells.shape[0])
@@ -91,7 +93,7 @@ def path_scores(
                     length = np.sqrt(max(dx * dx + dy * dy + mean[a + 2], 0.0))
                     gap = paths.length_m[k, m] - (1.0 + mean[a + 4]) * length - mean[a + 3]
                     square = gap * gap / variance
-                    if square > _FAR:
+                    if square > FAR:
                         continue
                     own = prior[f] * scale * np.exp(-0.5 * square)
                     if paths.heading_held and np.isfinite(paths.azimuth_std_rad[k, m]):
@@ -103,29 +105,10 @@ def path_scores(
     return score
 
 
-class FoundPlaces(NamedTuple):
-    """Where the paths of an epoch may have been heard.
-
-    Parameters
-    ----------
-    places_m : ndarray, shape (C, 2)
-        The best places, gauge frame, metres.
-    cell_m, cells : float, int
-        Size of a cell of the grid, metres, and how many there are.
-    here : bool
-        Whether there is one place alone, and that the one where the agent is thought to be.
-    """
-
-    places_m: Array
-    cell_m: float
-    cells: int
-    here: bool
-
-
 def places_by_paths(
     state: GaussianState, paths: EpochPaths, clutter: Array, model: Relocation, visibility: Visibility
-) -> FoundPlaces | None:
-    """Places of the map of the likeliest hypothesis that explain an epoch's paths best; None without a map.
+) -> tuple[Places, bool] | None:
+    """Places of the map that explain an epoch's paths best.
 
     Parameters
     ----------
@@ -139,29 +122,24 @@ def places_by_paths(
         Where.
     visibility : Visibility
         How probably a feature is heard.
+
+    Returns
+    -------
+    places : Places
+        The best places.
+    here : bool
+        Whether there is one alone, and that the one where the agent is thought to be. None of both without a
+        wall or an anchor to go by.
     """
-    layout, hypotheses = state.layout, state.hypotheses
-    best = hypotheses.best
-    mean, present = hypotheses.mean[best], hypotheses.present[best] & state.slots.confirmed
-    located = hypotheses.located[best]
-    if not present.any() or not located.any():
+    layout, known = state.layout, map_of(state)
+    if not known.present.any() or not known.located.any():
         return None
-    cells, cell_m = grid(layout, mean, present, located, model)
-    score = path_scores(
-        layout,
-        mean,
-        present,
-        located,
-        cells,
-        cell_m,
-        paths,
-        clutter,
-        visibility.prior_sight,
-        visibility.prior_wall,
-    )
-    places = cells[best_places(cells, score, model)]
-    here = len(places) == 1 and bool(np.linalg.norm(places[0] - mean[:2]) < model.apart_m)
-    return FoundPlaces(places, cell_m, len(cells), here and score.max() > model.worse_nats)
+    cells, cell_m = grid(layout, known, model)
+    sight, wall = visibility.prior_sight, visibility.prior_wall
+    score = path_scores(layout, known, cells, cell_m, paths, clutter, sight, wall)
+    best = cells[best_places(cells, score, model)]
+    here = len(best) == 1 and bool(np.linalg.norm(best[0] - known.mean[:2]) < model.apart_m)
+    return Places(best, cell_m, len(cells)), here and bool(score.max() > model.worse_nats)
 
 
 def search_elsewhere(
@@ -195,16 +173,9 @@ def search_elsewhere(
     found = places_by_paths(state, paths, clutter, model, config.visibility)
     if found is None:
         return state, False
-    if found.here:
+    places, here = found
+    if here:
         return state, True
-    more = elsewhere(
-        state,
-        found.places_m,
-        found.cell_m,
-        found.cells,
-        model.path_place_std_m,
-        model,
-        config.visibility,
-        config.motion.speed_std_m_s,
-    )
+    std_m, speed_std_m_s = model.path_place_std_m, config.motion.speed_std_m_s
+    more = elsewhere(state, places, std_m, model, config.visibility, speed_std_m_s)
     return state.but(hypotheses=state.hypotheses.joined(more)), False

@@ -9,7 +9,6 @@ others. Time is that of the cells times flashes and walls, and times paths; the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,13 +18,21 @@ from estimator.compiled import compiled
 from estimator.geometry import rotation_matrix
 from estimator.measurements import GaussianVrp
 from estimator.slam.association.sweep_matching import flash_cost
+from estimator.slam.gaussian.map_search import (
+    FAR,
+    Known,
+    Places,
+    Relocation,
+    best_places,
+    elsewhere,
+    grid,
+    map_of,
+)
 from estimator.slam.gaussian.state import GaussianState
 from estimator.slam.models.directions import wrapped
 from estimator.slam.models.epoch_paths import EpochPaths
 from estimator.slam.models.hypotheses import Hypotheses
-from estimator.slam.models.settings import Settings, not_negative, positive, probability, share
 from estimator.slam.models.state_vector import (
-    AGENT,
     ECHO_BIAS,
     FIRST_ANCHOR,
     HEADING,
@@ -34,73 +41,13 @@ from estimator.slam.models.state_vector import (
     Layout,
 )
 from estimator.slam.models.sweeps import FLASH_ENTRIES
-from estimator.slam.models.visibility import Visibility, prior_visibility
+from estimator.slam.models.visibility import Visibility
 
-__all__ = [
-    "Relocation",
-    "Seen",
-    "best_places",
-    "elsewhere",
-    "grid",
-    "is_explained",
-    "place_scores",
-    "relocated",
-]
+__all__ = ["Seen", "is_explained", "place_scores", "relocated"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _LEAST_M: Final = 1e-3  # numerical floor of a distance
-
-
-@dataclass(frozen=True)
-class Relocation(Settings):
-    """When and where the agent is looked for in the map.
-
-    Parameters
-    ----------
-    elsewhere_probability : float
-        Probability that, since the epoch before, the agent was put anywhere else in the mapped area.
-    explained_share : float
-        A sweep is explained where known walls give at least this share of its flashes,
-    explained_sigma : float
-        within so many standard deviations.
-    place_std_m, path_place_std_m : float
-        Standard deviation per axis of a place found on the grid, by a sweep and by paths alone, metres.
-    cell_m : float
-        Size of a cell, metres; larger where there would be more than ``most_cells``.
-    most_cells : int
-        Bound of the cells.
-    most_places : int
-        Places that become hypotheses,
-    apart_m : float
-        so far apart at least, metres,
-    worse_nats : float
-        and no more than this worse than the best.
-    retry_epochs : int
-        While a run is suspect and sweeps do not come often, it is looked for by paths: at once, then after
-        twice as many epochs each time, up to so many.
-    margin_m : float
-        How far the mapped area reaches beyond its walls and anchors, metres.
-    most_headings : int
-        Headings tried: of the axes where they are not held, of the body where odometry is measured.
-    heading_bins : int
-        Parts of the circle in which headings of the axes are voted for.
-    """
-
-    elsewhere_probability: float = probability(1e-8)
-    explained_share: float = share(0.75)
-    explained_sigma: float = positive(4.0)
-    place_std_m: float = positive(0.5)
-    path_place_std_m: float = positive(0.25)
-    retry_epochs: int = positive(16)
-    cell_m: float = positive(0.25)
-    most_cells: int = positive(40_000)
-    most_places: int = positive(8)
-    apart_m: float = positive(1.0)
-    worse_nats: float = positive(15.0)
-    margin_m: float = not_negative(2.0)
-    most_headings: int = positive(8)
-    heading_bins: int = positive(120)
 
 
 class Seen(NamedTuple):
@@ -162,19 +109,15 @@ def is_explained(
 
 
 @compiled
-def place_scores(
-    layout: Layout, mean: Array, present: Mask, located: Mask, cells: Array, cell_m: float, seen: Seen
-) -> Array:
+def place_scores(layout: Layout, known: Known, cells: Array, cell_m: float, seen: Seen) -> Array:
     """Log likelihood (C,) of places of the agent, over that of a place where nothing is known.
 
     Parameters
     ----------
     layout : Layout
         Positions in the state vector.
-    mean : ndarray, shape (n,)
-        The map: a state vector whose agent is not looked at.
-    present, located : ndarray of bool, shapes (L,) and (K,)
-        Walls and anchors that it has.
+    known : Known
+        The map.
     cells : ndarray, shape (C, 2)
         Places, gauge frame, metres,
     cell_m : float
@@ -182,6 +125,7 @@ def place_scores(
     seen : Seen
         Flashes and paths.
     """
+    mean, present, located = known
     first = FIRST_ANCHOR + PER_ANCHOR * layout.anchors
     blur = cell_m * cell_m / 6.0  # of a place within its cell, and what it does to a distance
     flashes, slots = seen.flash.shape[0], layout.slots
@@ -211,7 +155,7 @@ def place_scores(
                     continue
                 reach = offset[i] - normal[i, 0] * px - normal[i, 1] * py
                 gap = abs(reach) - range_m[j]
-                if gap * gap > 30.0 * by_range[j]:
+                if gap * gap > FAR * by_range[j]:
                     continue
                 off = wrapped(along[j] - bearing[i] - (0.0 if reach >= 0.0 else np.pi))
                 own = base[j] - 0.5 * (gap * gap / by_range[j] + off * off / by_angle[j])
@@ -227,7 +171,7 @@ def place_scores(
             for m in range(seen.number[k]):
                 variance = seen.std_m[k, m] ** 2 + blur
                 gap = seen.length_m[k, m] - length
-                if gap * gap < 30.0 * variance:
+                if gap * gap < FAR * variance:
                     own = -0.5 * gap * gap / variance - np.log(
                         np.sqrt(2.0 * np.pi * variance) * seen.clutter[k]
                     )
@@ -284,13 +228,11 @@ def relocated(
         or is_explained(layout, hypotheses, flash, noise, model.explained_sigma, model.explained_share)
     ):
         return None
-    best = hypotheses.best
-    mean, present = hypotheses.mean[best], hypotheses.present[best] & state.slots.confirmed
-    located = hypotheses.located[best]
-    if not present.any():
+    known = map_of(state)
+    if not known.present.any():
         return None
-    cells, cell_m = grid(layout, mean, present, located, model)
-    turns = np.array([-mean[THETA]]) if held else _headings(layout, mean, present, flash, model)
+    cells, cell_m = grid(layout, known, model)
+    turns = np.array([-known.mean[THETA]]) if held else _headings(layout, known, flash, model)
     score = np.full(len(cells), -np.inf)
     for turn in turns.tolist():
         rotation = rotation_matrix(turn)
@@ -303,52 +245,11 @@ def relocated(
             paths.std_m,
             clutter,
         )
-        own = place_scores(layout, mean, present, located, cells, cell_m, seen)
+        own = place_scores(layout, known, cells, cell_m, seen)
         score = np.maximum(score, own)
-    chosen = best_places(cells, score, model)
-    found = elsewhere(
-        state, cells[chosen], cell_m, len(cells), model.place_std_m, model, visibility, speed_std_m_s
-    )
+    best = Places(cells[best_places(cells, score, model)], cell_m, len(cells))
+    found = elsewhere(state, best, model.place_std_m, model, visibility, speed_std_m_s)
     return _any_way_round(found, model.most_headings) if driven else found
-
-
-def elsewhere(
-    state: GaussianState,
-    places: Array,
-    cell_m: float,
-    cells: int,
-    std_m: float,
-    model: Relocation,
-    visibility: Visibility,
-    speed_std_m_s: float,
-) -> Hypotheses:
-    """The likeliest hypothesis with its agent at other places of a grid, each with its prior probability.
-
-    Parameters
-    ----------
-    state : GaussianState
-        State with predicted hypotheses.
-    places : ndarray, shape (C, 2)
-        Places, gauge frame, metres.
-    cell_m, cells : float, int
-        Size of a cell of the grid, metres, and how many there are.
-    std_m : float
-        Standard deviation of a place per axis, metres.
-    model : Relocation
-        How probably the agent is elsewhere at all.
-    visibility : Visibility
-        What is visible there is not known.
-    speed_std_m_s : float
-        Standard deviation of the agent's velocity there, per axis, metres a second.
-    """
-    hypotheses = state.hypotheses
-    found = hypotheses.take(np.full(len(places), hypotheses.best))
-    found.log_weight[...] = np.log(model.elsewhere_probability * 2.0 * np.pi * std_m**2 / (cells * cell_m**2))
-    found.mean[:, :2], found.mean[:, 2:4] = places, 0.0
-    found.covariance[:, AGENT, :], found.covariance[:, :, AGENT] = 0.0, 0.0
-    found.covariance[:, AGENT, AGENT] = np.diag([std_m**2] * 2 + [speed_std_m_s**2] * 2)
-    found.visibility[...] = prior_visibility(state.layout, visibility)
-    return found
 
 
 def _any_way_round(hypotheses: Hypotheses, headings: int) -> Hypotheses:
@@ -362,36 +263,12 @@ def _any_way_round(hypotheses: Hypotheses, headings: int) -> Hypotheses:
     return turned
 
 
-def grid(layout: Layout, mean: Array, present: Mask, located: Mask, model: Relocation) -> tuple[Array, float]:
-    """Cells (C, 2) over the mapped area, and how far they are apart, metres."""
-    feet = 0.5 * mean[layout.walls].reshape(-1, 2)[present]
-    anchors = np.array([mean[layout.anchor_xy(k)] for k in np.flatnonzero(located).tolist()]).reshape(-1, 2)
-    known = np.concatenate([feet, anchors, mean[None, :2], np.zeros((1, 2))])
-    low, high = known.min(axis=0) - model.margin_m, known.max(axis=0) + model.margin_m
-    cell_m = max(model.cell_m, float(np.sqrt(np.prod(high - low) / model.most_cells)))
-    x, y = (np.arange(low[a] + 0.5 * cell_m, high[a], cell_m) for a in range(2))
-    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2), cell_m
-
-
-def _headings(layout: Layout, mean: Array, present: Mask, flash: Array, model: Relocation) -> Array:
+def _headings(layout: Layout, known: Known, flash: Array, model: Relocation) -> Array:
     """Turns of the agent's axes that pair flashes and walls best, by votes."""
-    vrps = mean[layout.walls].reshape(-1, 2)[present]
+    vrps = known.mean[layout.walls].reshape(-1, 2)[known.present]
     walls = np.arctan2(vrps[:, 1], vrps[:, 0])
     turns = np.arctan2(flash[:, 1], flash[:, 0])[:, None] - np.concatenate([walls, walls + np.pi])
     width = 2.0 * np.pi / model.heading_bins
     bins = (np.mod(-turns, 2.0 * np.pi) / width).astype(np.int64) % model.heading_bins
     votes = np.bincount(bins.ravel(), minlength=model.heading_bins)
     return np.asarray((np.argsort(-votes, kind="stable")[: model.most_headings] + 0.5) * width)
-
-
-def best_places(cells: Array, score: Array, model: Relocation) -> NDArray[np.int64]:
-    """Cells of the best places, apart from one another."""
-    chosen: list[int] = []
-    left = score.copy()
-    while len(chosen) < model.most_places:
-        best = int(np.argmax(left))
-        if not left[best] > score.max() - model.worse_nats:
-            break
-        chosen.append(best)
-        left[np.linalg.norm(cells - cells[best], axis=1) < model.apart_m] = -np.inf
-    return np.array(chosen, dtype=np.int64)

@@ -17,6 +17,7 @@ ALLOWED = {
     "gaussian/sweep_update.py": {"_ANY_HEADING_RAD2", "_QUARTER"},
     # numerical floors
     "gaussian/integrity.py": {"_LEAST_STD_M", "_LEAST_DOUBT"},
+    "gaussian/map_search.py": {"FAR"},
     "gaussian/relocation.py": {"_LEAST_M"},
     "gaussian/anchor_survey.py": {"_KNOWN_M2"},
     "gaussian/recalled_track.py": {"_ROUNDING_M2"},
@@ -30,7 +31,6 @@ ALLOWED = {
     "anchors/joint_update.py": {"_LOG_2PI", "_PER_PATH"},
     "anchors/observations.py": {"_LEAST_LOSS_RATIO", "_BUCKETS"},
     "run.py": {"_STRETCH"},
-    "gaussian/path_relocation.py": {"_FAR"},
     "anchors/refinement.py": {"_STILL_M", "_FLAT", "ITERATIONS"},
     "anchors/seeds.py": {"_SHORTEST_M"},
     "anchors/survey.py": {"_LEAST_M2"},

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from estimator.geometry import rotation_matrix
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp
 from estimator.simulate import SimulationConfig
 from estimator.slam.gaussian.config import GaussianConfig
+from estimator.slam.gaussian.map_search import Known
 from estimator.slam.gaussian.path_relocation import path_scores, places_by_paths
 from estimator.slam.gaussian.start import start
 from estimator.slam.models.epoch_paths import stack_paths
@@ -51,7 +54,10 @@ def heard(state, place, bounces=True, anchors=(True, True)):
 
 
 def found(state, paths):
-    return places_by_paths(state, paths, CLUTTER, CONFIG.relocation, CONFIG.visibility)
+    told = places_by_paths(state, paths, CLUTTER, CONFIG.relocation, CONFIG.visibility)
+    if told is None:
+        return None
+    return SimpleNamespace(places_m=told[0].place_m, cell_m=told[0].cell_m, here=told[1])
 
 
 def in_frame(state, gauge):
@@ -90,7 +96,7 @@ def test_scores_are_log_likelihood_ratios(mapped):
     paths = heard(mapped, np.array([0.5, 0.5]), bounces=False, anchors=(True, False))
     cell, cell_m = np.array([[0.3, 0.1]]), 0.2
     located, present = mapped.hypotheses.located[0], np.zeros(layout.slots, dtype=bool)
-    score = path_scores(layout, mean, present, located, cell, cell_m, paths, CLUTTER, 0.9, 0.6)
+    score = path_scores(layout, Known(mean, present, located), cell, cell_m, paths, CLUTTER, 0.9, 0.6)
     gap = paths.length_m[0, 0] - np.linalg.norm(mean[layout.anchor_xy(0)] - cell[0])
     variance = STD_M**2 + cell_m**2 / 6.0
     density = np.exp(-0.5 * gap**2 / variance) / np.sqrt(2.0 * np.pi * variance)
@@ -110,7 +116,7 @@ def test_directions_tell_mirrored_places_apart(mapped):
 
     def lead(paths):
         located = mapped.hypotheses.located[0]
-        score = path_scores(layout, mean, none, located, places, 0.05, paths, CLUTTER, 0.9, 0.6)
+        score = path_scores(layout, Known(mean, none, located), places, 0.05, paths, CLUTTER, 0.9, 0.6)
         return score[0] - score[1]
 
     assert abs(lead(paths)) < 1e-9

@@ -10,6 +10,7 @@ import pytest
 from estimator.geometry import rotation_matrix
 from estimator.measurements import AnchorPaths, Epoch, GaussianVrp
 from estimator.slam.gaussian.config import GaussianConfig
+from estimator.slam.gaussian.map_search import Known
 from estimator.slam.gaussian.relocation import Seen, is_explained, place_scores, relocated
 from estimator.slam.gaussian.start import start
 from estimator.slam.models.epoch_paths import stack_paths
@@ -116,9 +117,8 @@ def test_scores_are_log_likelihood_ratios(mapped):
         none[0],
     )
     cells = np.array([[0.0, 0.0], [200.0, 200.0]])
-    score = place_scores(
-        layout, mean, mapped.hypotheses.present[0], np.zeros(1, dtype=bool), cells, 1e-9, seen
-    )
+    known = Known(mean, mapped.hypotheses.present[0], np.zeros(1, dtype=bool))
+    score = place_scores(layout, known, cells, 1e-9, seen)
     size = np.linalg.norm(flash.mean_m)
     expected = -np.log(2.0 * np.pi * 0.02 * (0.04 / size)) - np.log(0.004)
     assert score[0] == pytest.approx(expected, abs=0.01)
