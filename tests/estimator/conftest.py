@@ -9,9 +9,17 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from estimator.channel.model import delay_atoms
+from estimator.dataset import DatasetWriter, open_dataset
 from estimator.geometry import rotate, vrp_of_line
 from estimator.result import SlamResult
 from estimator.specular import specular_paths
+from estimator.waveform import SPEED_OF_LIGHT_M_S
+from raytrace.plan.files import load_floorplan
+from raytrace.propagation.images import image_paths
+from raytrace.radio.channel import add_noise, channel_response
+from raytrace.radio.impairments import jitter
+from tests.channel_shards import JITTER_S, Room, beams_of, echo_shard, passive_shard, signal
 
 START, HEADING = np.array([4.0, 5.0]), 0.3
 WALLS = {
@@ -98,3 +106,43 @@ def make_result(truth: xr.Dataset) -> Callable[..., SlamResult]:
         return SlamResult(**{**fields, **changes})
 
     return make
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
+    """The room as a dataset without paths and truth: what the estimator is to work from."""
+    rng = np.random.default_rng(31)
+    plan = load_floorplan("l-room")
+    track = plan.track()[::6]
+    paths = image_paths(plan, track, depth=2)
+    grid, noise = plan.radio.grid(), plan.radio.noise_variance()
+    cfr = add_noise(jitter(channel_response(paths, grid), grid, JITTER_S, rng), noise, rng)
+
+    beams, echo_grid, echo_noise = plan.echo.beams.beam_set(), plan.echo.grid(), plan.echo.noise_variance()
+    start, end = plan.walls_m()
+    offsets = vrp_of_line(start, end, track[0, :2]) - track[0, :2]
+    foot = track[0, :2] + 0.5 * offsets
+    along = np.sum((foot - start) * (end - start), axis=1) / np.sum((end - start) ** 2, axis=1)
+    vrps = offsets[(along > 0.0) & (along < 1.0) & (np.abs(foot[:, 1]) <= 40.0)]
+    lengths = np.linalg.norm(vrps, axis=1)
+    gains = 0.4 * echo_grid.wavelength_m / (4.0 * np.pi * lengths) * np.exp(2j * np.pi * rng.uniform(size=4))
+    patterns = beams.two_way(np.arctan2(vrps[:, 1], vrps[:, 0])).T * gains
+    echo = add_noise(patterns @ delay_atoms(echo_grid, lengths / SPEED_OF_LIGHT_M_S), echo_noise, rng)
+
+    anchors = [anchor.name for anchor in plan.anchors]
+    manifest = {
+        "name": "l-room",
+        "seed": 31,
+        "anchors": anchors,
+        "epochs": len(track),
+        "radio": signal(grid, noise),
+        "echo": {**signal(echo_grid, echo_noise), "beams": beams_of(beams)},
+    }
+    folder = tmp_path_factory.mktemp("room") / "dataset"
+    writer = DatasetWriter(folder, manifest)
+    half = len(track) // 2
+    writer.write("passive", "passive-00000.nc", passive_shard(cfr[:half], anchors))
+    writer.write("passive", "passive-00001.nc", passive_shard(cfr[half:], anchors, half))
+    writer.write("echo", "echo-00000.nc", echo_shard(echo[None]))
+    writer.finish()
+    return Room(open_dataset(folder), paths, vrps)
